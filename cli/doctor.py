@@ -55,7 +55,7 @@ class Doctor(Request):
 
     def run(self) -> int:
         """Print the state. Returns 0."""
-        from neuroflight.cli.tables import print_facts, print_json
+        from neuroflight.cli.report import print_facts, print_json
 
         found = [*_extras(), *_programs(), *_builds(), *_ports(), *_boot_loaders()]
         if self.json:

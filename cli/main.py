@@ -58,7 +58,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     line, renamed = tree.rewritten(argv)
     words, rest = tree.find(line)
     if words:
-        return tree.leaf_parser(words).parse_args(rest, argparse.Namespace(renamed=renamed))
+        return tree.leaf_parser(words, rest).parse_args(rest, argparse.Namespace(renamed=renamed))
     group = next((" ".join(line[:n]) for n in (2, 1) if " ".join(line[:n]) in tree.NOUNS), "")
     word = next(iter(line[len(group.split()) :]), "")
     if word in ("-h", "--help"):
@@ -184,7 +184,7 @@ def _check_stdout() -> None:
 def run_command(args: argparse.Namespace) -> int:
     """Return the command's exit code. Raises NeuroflightError where an extra is not installed."""
     try:
-        return tree.run(args)
+        return int(args.request.parsed(args).run())
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         brings = [extra for extra, packages in EXTRAS.items() if package in packages]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
 
-from neuroflight.cli.requests import Option
-from neuroflight.toolchain.errors import LinkError
+from neuroflight.cli.requests import Option, Request
+from neuroflight.toolchain.errors import LinkError, NeuroflightError
+
+if TYPE_CHECKING:
+    from neuroflight.sim.blackbox.flight import Part
 
 PORT_HELP = (
     "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB0; default: NEUROFLIGHT_PORT, or the "
@@ -26,16 +29,18 @@ ON_HELP = (
 
 
 class Machine(str):
-    """The machine that flies: one of `ON`."""
+    """The machine that flies: one of `ON`, by its name or that of before."""
 
     said: str  # as the user wrote it, which reports repeat
 
+    def __new__(cls, text: str) -> Self:
+        found = super().__new__(cls, OLD_ON.get(text, text))
+        found.said = text
+        return found
 
-def machine(text: str) -> Machine:
-    """Return the machine of that name, or of its name of before."""
-    found = Machine(OLD_ON.get(text, text))
-    found.said = text
-    return found
+
+HOST = Machine("host")
+On = Annotated[Machine, Option(None, f"what flies; default host. {ON_HELP}", choices=ON)]
 
 
 class Device(NamedTuple):
@@ -74,22 +79,55 @@ def devices() -> Sequence[Device]:
     return [Device(port.device, port.vid is not None, port.description or "") for port in found]
 
 
+def picture(text: str) -> Option:
+    """Return the option of a picture that is drawn on request."""
+    return Option("FILE.png", text, suffix=".png", recorded=False)
+
+
 Port = Annotated[str, Option("PORT", PORT_HELP, recorded=False, find=find_port)]
 Json = Annotated[bool, Option(None, "print JSON", recorded=False)]
+Build = Annotated[Path | None, Option("DIR", "Betaflight's build; default: build/BETAFLIGHT", recorded=False)]
 Aircraft = Annotated[str, Option("NAME|FILE", "shipped name or a .toml file")]
 Seed = Annotated[int, Option("S", "of everything that is drawn", low=0, high=2**32 - 1)]
-Plot = Annotated[Path | None, Option("FILE.png", "draw it", recorded=False)]
+Plot = Annotated[Path | None, picture("draw it")]
 Jobs = Annotated[int, Option("N", "processes at a time", low=1, high=64, recorded=False)]
+Header = Annotated[
+    tuple[str, ...],
+    Option(
+        "NAME=VALUE",
+        "take a log as if its header had this line, which it lost or its firmware does not write; may be "
+        "given several times",
+        once=True,
+    ),
+]
 
 
-def add_port(parser: argparse.ArgumentParser, help: str = PORT_HELP) -> None:
-    """Declare --port of a command that has no typed request; `cli.main` finds it where it is not given."""
-    parser.add_argument("--port", metavar="PORT", help=help)
-    parser.set_defaults(find_port=find_port)
+@dataclass(frozen=True, kw_only=True)
+class OfPart(Request):
+    """A request about a part of a recording."""
+
+    start: Annotated[
+        float | None,
+        Option("S", "where the part begins, seconds since the first sample", low=0.0, name="--from"),
+    ] = None
+    stop: Annotated[float | None, Option("S", "where it ends; default: the end", name="--to")] = None
+
+    @property
+    def part(self) -> Part:
+        """The part. Raises NeuroflightError if it is empty."""
+        from neuroflight.sim.blackbox.flight import Part
+
+        start = self.start or 0.0
+        if self.stop is not None and not self.stop > start:
+            raise NeuroflightError(f"--to {self.stop:g}, expected more than --from, {start:g}")
+        return Part(start, self.stop)
 
 
-def add_plot(parser: argparse.ArgumentParser, text: str, *, old: str, required: bool = False) -> None:
-    """Declare --plot of a command that has no typed request, and its option of before."""
-    either = parser.add_mutually_exclusive_group(required=required)
-    either.add_argument("--plot", type=Path, metavar="FILE.png", help=text)
-    either.add_argument(old, dest="plot", type=Path, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+@dataclass(frozen=True, kw_only=True)
+class OfRecording(OfPart):
+    """A request that flies recorded commands."""
+
+    header: Header = ()
+    cut_rates: Annotated[
+        bool, Option(None, "fly recorded rates beyond full stick (1000 deg/s) as full stick, not refuse them")
+    ] = False

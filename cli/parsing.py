@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
@@ -12,6 +13,10 @@ CLOSE = 0.6  # of 1: two words that are as much alike as `--stpes` and `--steps`
 
 class Parser(argparse.ArgumentParser):
     """A parser whose hidden options (help=argparse.SUPPRESS) are old spellings."""
+
+    def __init__(self, *args: Any, **words: Any) -> None:  # noqa: ANN401 - as argparse has it
+        super().__init__(*args, **words)
+        self._negative_number_matcher = re.compile(r"-[\d.]")  # -1,1 too is no option
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None

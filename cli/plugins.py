@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from neuroflight.cli.requests import Option, Request
 
 if TYPE_CHECKING:
     from neuroflight.training.plugins import Plugin
 
 
-def add_plugin_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare the option; `load_named` acts on it."""
-    parser.add_argument(
-        "--plugin",
-        action="append",
-        type=Path,
-        default=[],
-        metavar="FILE.py",
-        help="run this file of yours first; the rewards and tasks that it registers are known by name then; "
-        "may be repeated",
-    )
+@dataclass(frozen=True, kw_only=True)
+class WithPlugins(Request):
+    """A request that knows rewards and tasks of a user's own."""
 
+    plugin: Annotated[
+        tuple[Path, ...],
+        Option(
+            "FILE.py",
+            "run this file of yours first; the rewards and tasks that it registers are known by name then; "
+            "may be repeated",
+            once=True,
+        ),
+    ] = ()
 
-def load_named(args: argparse.Namespace) -> tuple[Plugin, ...]:
-    """Run the files of the option. Raises TrainingError on one that cannot be run or registers nothing."""
-    if not args.plugin:
-        return ()
-    from neuroflight.training.plugins import load_plugins
+    def load_named(self) -> tuple[Plugin, ...]:
+        """Run the files. Raises TrainingError on one that cannot be run or registers nothing."""
+        if not self.plugin:
+            return ()
+        from neuroflight.training.plugins import load_plugins
 
-    return load_plugins(args.plugin)
-
-
-def words(args: argparse.Namespace) -> list[str]:
-    """Return the option as a stored command has it."""
-    return [word for path in args.plugin for word in ("--plugin", str(path))]
+        return load_plugins(self.plugin)

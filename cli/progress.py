@@ -1,29 +1,52 @@
-"""A bar for each step of a command that takes a while."""
+"""Progress of a command that takes a while: bars on stderr, on a terminal only."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from typing import Protocol
+
+
+class Update(Protocol):
+    """A function that moves a bar."""
+
+    def __call__(self, done: float, whole: float | None = 1.0, text: str | None = None) -> None:
+        """Show how much is done, of how much, None: nobody knows; text: replaces the bar's."""
 
 
 @contextmanager
-def step_bars(words: Mapping[str, str]) -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for each step, by the step's name in `words`, on a terminal.
-
-    Yields a function that takes the step, the done part of it, and the whole.
-    """
+def progress_bars(quiet: bool = False) -> Iterator[Callable[[str], Update]]:
+    """Show bars, unless `quiet`; yield a function that adds one under a text and returns its update."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress
 
-    columns = (TextColumn("{task.description:10}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-    console = Console(stderr=True)
-    hidden = not console.is_terminal
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True, disable=hidden) as bars:
-        tasks: dict[str, TaskID] = {}
+    quiet = quiet or not sys.stderr.isatty()
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bars:
 
-        def update(step: str, done: int, total: int) -> None:
-            if step not in tasks:
-                tasks[step] = bars.add_task(words[step], total=total)
-            bars.update(tasks[step], completed=done)
+        def add(text: str) -> Update:
+            task = bars.add_task(text, total=None)
+
+            def update(done: float, whole: float | None = 1.0, text: str | None = None) -> None:
+                bars.update(task, completed=done, total=whole, description=text)
+
+            return update
+
+        yield add
+
+
+@contextmanager
+def step_bars(words: Mapping[str, str], quiet: bool = False) -> Iterator[Callable[[str, float, float], None]]:
+    """Show a bar for each step, under its text in `words`, or its name where it has none there.
+
+    Yields a function that takes the step's name, the done part of it, and the whole.
+    """
+    with progress_bars(quiet) as add:
+        begun: dict[str, Update] = {}
+
+        def update(step: str, done: float, whole: float) -> None:
+            if step not in begun:
+                begun[step] = add(words.get(step, step))
+            begun[step](done, whole)
 
         yield update

@@ -1,18 +1,21 @@
-"""Output of commands: tables, means with their confidence, progress."""
+"""Output of commands: tables, facts, JSON, means with their confidence."""
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from neuroflight.sim.analysis.confidence import Mean
 
 GAP = 2  # [characters] between columns
+WIDTH = 160  # [characters] of tables with texts where there is no terminal
 
 
 @dataclass(frozen=True)
@@ -24,43 +27,87 @@ class Table:
     note: str = ""
 
 
-def print_table(title: str, rows: Sequence[tuple[str, ...]], note: str = "", *, left: bool = False) -> None:
-    """Print rows under their heading, which is the first; numbers to the right unless `left`.
-
-    A table of numbers that is wider than the screen is printed in parts, each with the first column: digits
-    are never cut. Texts (`left`) are folded.
-    """
-    from rich.cells import cell_len
+def console(width: int | None = WIDTH) -> Console:
+    """Return the console of stdout. width: where that is no terminal."""
     from rich.console import Console
+
+    return Console(highlight=False, width=None if sys.stdout.isatty() else width)
+
+
+def print_json(value: object) -> None:
+    """Print one JSON document."""
+    print(json.dumps(value, indent=2))
+
+
+class Account:
+    """The account of a command that acts: lines for people as it goes, or one JSON document at its end."""
+
+    def __init__(self, json: bool) -> None:
+        self.json = json
+
+    def say(self, line: str) -> None:
+        """Print a line for people."""
+        if not self.json:
+            print(line, flush=True)
+
+    def end(self, document: object, line: str = "") -> int:
+        """Print the document, or the last line for people where there is one. Returns 0, the exit code."""
+        if self.json:
+            print_json(document)
+        elif line:
+            self.say(line)
+        return 0
+
+
+def print_facts(rows: Iterable[Sequence[str]], styles: Sequence[str] = ()) -> None:
+    """Print a label and texts on each line; styles: of the labels, bold unless given."""
     from rich.table import Table as Shown
     from rich.text import Text
 
-    console = Console()
-    width = console.width
+    table = Shown.grid(padding=(0, GAP))
+    for number, (label, *texts) in enumerate(rows):
+        style = styles[number] if styles else "bold"
+        table.add_row(Text(label, style=style), *(Text(text, overflow="fold") for text in texts))
+    console().print(table)
+
+
+def print_table(
+    title: str, rows: Sequence[Sequence[str]], note: str = "", *, numbers: Collection[str] | None = None
+) -> None:
+    """Print rows under their heading, which is the first.
+
+    numbers: headings of the columns that hold numbers, which stand right; all but the first unless given.
+    A table of numbers that is wider than the screen is printed in parts, each with the first column: digits
+    are never cut. Texts are folded. A note is wrapped on a terminal only.
+    """
+    from rich.cells import cell_len
+    from rich.table import Table as Shown
+    from rich.text import Text
+
+    texts = numbers is not None
+    out = console(WIDTH if texts else None)
+    width = out.width
+    right = rows[0][1:] if numbers is None else numbers
     widths = [
         max(cell_len(line) for cell in column for line in cell.split("\n"))
         for column in zip(*rows, strict=True)
     ]
-    parts = [range(1, len(widths))] if left else _parts(widths, width)
     if title:
-        console.print(Text(title, style="bold"))
-    for part in parts:
+        out.print(Text(title, style="bold"))
+    for part in [range(1, len(widths))] if texts else _parts(widths, width):
         shown = Shown(box=None, pad_edge=False, show_header=any(rows[0]))
         for number in (0, *part):
-            shown.add_column(
-                Text(rows[0][number]),
-                justify="right" if number and not left else "left",
-                overflow="fold",
-                no_wrap=not left,
-            )
+            head = rows[0][number]
+            side: Literal["left", "right"] = "right" if head in right and (number or texts) else "left"
+            shown.add_column(Text(head), justify=side, overflow="fold", no_wrap=not texts)
         for row in rows[1:]:
             shown.add_row(*(Text(row[number]) for number in (0, *part)))
         needed = widths[0] + sum(GAP + widths[number] for number in part)
-        console.width = width if left else max(width, needed)
-        console.print(shown, crop=left)
-    console.width = width
+        out.width = width if texts else max(width, needed)
+        out.print(shown, crop=texts)
+    out.width = width
     if note:
-        console.print(Text(note), style="dim")
+        out.print(Text(note), style="dim", soft_wrap=not out.is_terminal)
 
 
 def _parts(widths: Sequence[int], width: int) -> list[range]:
@@ -72,22 +119,6 @@ def _parts(widths: Sequence[int], width: int) -> list[range]:
             ends.append(number)
             used = widths[0] + GAP + widths[number]
     return [range(start, end) for start, end in pairwise([*ends, len(widths)])]
-
-
-@contextmanager
-def progress_bars(quiet: bool) -> Iterator[Callable[[str], Callable[[int, int], None]]]:
-    """Show bars on stderr, unless `quiet` or in a log; yield a function that adds one."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    quiet = quiet or not sys.stderr.isatty()
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bars:
-
-        def add(label: str) -> Callable[[int, int], None]:
-            task = bars.add_task(label)
-            return lambda done, total: bars.update(task, completed=done, total=total)
-
-        yield add
 
 
 def with_margin(value: float, margin: float, digits: int) -> str:

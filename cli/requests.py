@@ -10,21 +10,30 @@
 
 The type of a field says how its text is read: bool (a flag), int, float, str, Path, each `| None` where the
 default is None, and tuple[T, ...] for several. A field without a default has to be given. `cli/tree.py` names
-the class; `run` returns the exit code. Options that commands share are types of `cli/options.py`.
+the class; `run` returns the exit code. Options that commands share are types of `cli/options.py`, groups of
+them base classes.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import types
 import typing
-from collections.abc import Callable
-from dataclasses import MISSING, Field, dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, Field, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
-from neuroflight.cli.output import command_line, plain
+from neuroflight.cli.output import check_output, command_line, plain
 from neuroflight.toolchain.errors import NeuroflightError
+
+
+@dataclass(frozen=True, eq=False)
+class Either:
+    """A choice between options: those that name it exclude each other."""
+
+    required: bool = False  # one of them has to be given
 
 
 @dataclass(frozen=True)
@@ -35,8 +44,9 @@ class Option:
     help: str | None  # None: hidden, a word of before without a meaning
     low: float | None = None  # the least value; None: none
     high: float | None = None
+    above: float | None = None  # that a value has to exceed, in place of `low`
     unit: str = ""  # of both, for people
-    choices: tuple[str, ...] = ()
+    choices: tuple[str | int, ...] = ()
     name: str = ""  # where it is not the field's: "--from"
     old: tuple[str, ...] = ()  # spellings of before, hidden: "--contenders"
     old_choices: tuple[tuple[str, str], ...] = ()  # values of before, hidden, and what they are now
@@ -45,7 +55,11 @@ class Option:
     most: int | None = None  # values
     once: bool = False  # several values, but each behind an option of its own: --set A=1 --set B=2
     recorded: bool = True  # stands in the printed command: False for what does not change the result
+    usual: bool = False  # does not stand there where it is the default
     find: Callable[[], str] | None = None  # the value where the user gives none
+    either: Either | None = None
+    section: str = ""  # heading in --help under which it stands
+    suffix: str = ""  # of a file that is written; that it can be is checked before the work
 
 
 @dataclass(frozen=True)
@@ -58,6 +72,7 @@ class Request:
     """The options that a user gives a command."""
 
     words: ClassVar[str] = ""  # of the command, from `cli/tree.py` once its parser is made
+    more: ClassVar[str] = ""  # of --help, behind the command's sentence
 
     def run(self) -> int:
         """Carry the request out. Returns the exit code; raises NeuroflightError."""
@@ -66,11 +81,22 @@ class Request:
     @classmethod
     def add_arguments(cls, parser: argparse.ArgumentParser) -> None:
         """Declare every field."""
+        places: dict[str | Either, argparse._ActionsContainer] = {"": parser}
         for field, kind, option in _declared(cls):
-            _add(parser, field, kind, option)
+            section, either = option.section, option.either
+            if section not in places:
+                places[section] = parser.add_argument_group(section)
+            if either is not None and either not in places:
+                places[either] = places[section].add_mutually_exclusive_group(required=either.required)
+            _add(places[either or section], field, kind, option)
 
     @classmethod
-    def of(cls, args: argparse.Namespace) -> Self:
+    def chosen(cls, words: Sequence[str]) -> type[Request]:
+        """Return the request that these words of the command line are for, where a command has several."""
+        return cls
+
+    @classmethod
+    def parsed(cls, args: argparse.Namespace) -> Self:
         """Return the request that was parsed. Raises NeuroflightError for a value outside its range."""
         given = {}
         for field, kind, option in _declared(cls):
@@ -85,8 +111,23 @@ class Request:
                 raise NeuroflightError(f"{flag}: {len(value)} values, expected 1 to {option.most}")
             for one in value if kind.many and value is not None else (value,):
                 _check(flag, one, option)
+            if option.suffix:
+                check_output(value, option.suffix)
             given[field.name] = value
         return cls(**given)
+
+    def given(self, *names: str) -> list[str]:
+        """Return the flags of those of the fields that do not have their default."""
+        return [
+            _flag(field, option)
+            for field, _, option in _declared(type(self))
+            if field.name in names and getattr(self, field.name) != field.default
+        ]
+
+    def refuse(self, *names: str, because: str) -> None:
+        """Raise NeuroflightError where one of the fields does not have its default."""
+        for flag in self.given(*names):
+            raise NeuroflightError(f"{flag}: {because}")
 
     @property
     def recorded(self) -> dict[str, Any]:
@@ -104,6 +145,8 @@ class Request:
         for field, kind, option in _declared(type(self)):
             value = getattr(self, field.name)
             if not option.recorded or value is None or value == () == field.default:
+                continue
+            if option.usual and value == field.default:
                 continue
             if isinstance(option, Argument):
                 words += [str(one) for one in (value if kind.many else (value,))]
@@ -129,6 +172,8 @@ def _declared(cls: type[Request]) -> list[tuple[Field[Any], _Kind, Option]]:
     for field in fields(cls):
         hint, *notes = typing.get_args(hints[field.name])
         option = next(note for note in notes if isinstance(note, Option))
+        if typing.get_origin(hint) is Literal:
+            option, hint = replace(option, choices=typing.get_args(hint)), str
         found.append((field, _kind(hint), option))
     return found
 
@@ -147,7 +192,7 @@ def _flag(field: Field[Any], option: Option) -> str:
     return option.name or f"--{field.name.replace('_', '-')}"
 
 
-def _add(parser: argparse.ArgumentParser, field: Field[Any], kind: _Kind, option: Option) -> None:
+def _add(place: argparse._ActionsContainer, field: Field[Any], kind: _Kind, option: Option) -> None:
     default: Any = field.default
     required = default is MISSING and option.find is None
     words: dict[str, Any] = {"help": argparse.SUPPRESS if option.help is None else option.help}
@@ -158,36 +203,43 @@ def _add(parser: argparse.ArgumentParser, field: Field[Any], kind: _Kind, option
         words["default"] = None if default is MISSING else default
         if option.choices:
             words |= {"choices": (*option.choices, *dict(option.old_choices))}
-            words["metavar"] = option.metavar or f"{{{','.join(option.choices)}}}"
+            words["metavar"] = option.metavar or f"{{{','.join(map(str, option.choices))}}}"
     if isinstance(option, Argument):
         if kind.many:
             words["nargs"] = option.number or ("+" if required else "*")
         elif not required:
             words["nargs"] = "?"
-        action = parser.add_argument(field.name, **words)
+        action = place.add_argument(field.name, **words)
     else:
         if kind.many:
-            words |= {"action": "append"} if option.once else {"nargs": option.number or "+"}
             words["default"] = None if required or default is None else list(default)
+            words |= {"action": "append"} if option.once else {"nargs": option.number or "+"}
+            if not option.once and not words["default"] and option.number is None:
+                words["action"] = "extend"
         elif option.number is not None:
             words |= {"nargs": option.number, "const": option.bare}
         flag = _flag(field, option)
-        action = parser.add_argument(flag, dest=field.name, required=required, **words)
+        if required and option.old:  # one of its spellings is given
+            place, required = place.add_mutually_exclusive_group(required=True), False
+        action = place.add_argument(flag, dest=field.name, required=required, **words)
         for old in option.old:
             words["default"] = argparse.SUPPRESS
-            parser.add_argument(old, dest=field.name, **{**words, "help": argparse.SUPPRESS})
+            place.add_argument(old, dest=field.name, **{**words, "help": argparse.SUPPRESS})
     action.old_choices = tuple(dict(option.old_choices))  # type: ignore[attr-defined]
 
 
 def _check(flag: str, value: Any, option: Option) -> None:  # noqa: ANN401 - of any field
     """Raise NeuroflightError for a number outside its range, as NaN is."""
-    low, high = option.low, option.high
-    if value is None or (low is None and high is None):
+    low, high, above = option.low, option.high, option.above
+    if value is None or low is high is above is None:
         return
-    if (low is None or value >= low) and (high is None or value <= high):
+    greater = value >= low if low is not None else value > above if above is not None else True
+    if greater and (high is None or value <= high) and math.isfinite(value):
         return
     unit = f" {option.unit}" if option.unit else ""
-    if low is None or high is None:
+    if above is not None:
+        span = f"above {_number(above)}{'' if high is None else f', at most {_number(high)}'}{unit}"
+    elif low is None or high is None:
         span = f"{_number(low)}{unit} or more" if low is not None else f"{_number(high)}{unit} or less"
     else:
         span = f"{_number(low)} to {_number(high)}{unit}"

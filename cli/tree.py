@@ -1,7 +1,7 @@
 """The tree of commands: words, a sentence and the module of each, and the words of before.
 
-A module named `room.file` has `add_arguments(parser)` and `run(args) -> int`; `room.file:Name` is a typed
-request (`cli/requests.py`). Either imports its room of the project when it runs, so that --help stays quick.
+`room.file:Name` is a typed request (`cli/requests.py`), which imports its room of the project when it runs:
+--help stays quick.
 """
 
 from __future__ import annotations
@@ -10,14 +10,12 @@ import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from types import ModuleType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from neuroflight.cli.parsing import Parser
-from neuroflight.cli.requests import Request
 
 if TYPE_CHECKING:
-    import argparse
+    from neuroflight.cli.requests import Request
 
 PROGRAM = "neuroflight"
 
@@ -27,12 +25,12 @@ class Leaf:
     """A command that does something."""
 
     summary: str
-    module: str  # below cli
+    request: str  # file below cli, and the class there
     extra: str = ""  # of pyproject.toml, what it needs at least
 
 
 NOUNS = {
-    "aircraft": "an aircraft's file: check it, draw it, import it, measure what it has to say",
+    "aircraft": "an aircraft's file: check, draw and import it, and measure the figures that it holds",
     "dyno": "a rotor on a dynamometer, simulated or real, and its model from the log",
     "policy": "neural controllers: train, check, compile, verify, time them",
     "pid": "PID controllers: tune their gains",
@@ -53,68 +51,73 @@ COMMANDS = {
         "an aircraft file from a model of another simulator, URDF or SDF", "aircraft.import_model:Import"
     ),
     "aircraft noise": Leaf(
-        "measure gyro and accelerometer noise in a log of an aircraft at rest", "aircraft.noise"
+        "measure gyro and accelerometer noise in a log of an aircraft at rest", "aircraft.noise:MeasureNoise"
     ),
     "aircraft inertia": Leaf(
         "moments of inertia from gyro logs of the aircraft swinging on a bifilar pendulum or torsion wire",
-        "aircraft.inertia",
+        "aircraft.inertia:Inertia",
     ),
     "aircraft propeller": Leaf(
         "how thrust and torque fall with the advance ratio, from a propeller's wind tunnel table",
-        "aircraft.propeller",
+        "aircraft.propeller:Propeller",
     ),
     "aircraft stability": Leaf(
-        "measure how far the links of an aircraft drift apart in pybullet", "aircraft.stability"
+        "measure how far the links of an aircraft drift apart in pybullet", "aircraft.stability:Stability"
     ),
     "dyno run": Leaf(
-        "simulate step (25, 50, 75, 100 %) and ramp (0-100-0 % in 40 s) experiments of one rotor", "dyno.run"
+        "simulate step (25, 50, 75, 100 %) and ramp (0-100-0 % in 40 s) experiments of one rotor",
+        "dyno.run:Run",
     ),
     "dyno bench": Leaf(
         "drive a rotor on a dynamometer through a flight controller and record it, for `dyno fit`",
-        "dyno.bench",
+        "dyno.bench:Bench",
     ),
     "dyno calibrate": Leaf(
         "calibrate a load cell with known masses: asks for one after the other, writes its figures",
-        "dyno.calibrate",
+        "dyno.calibrate:Calibrate",
     ),
     "dyno fit": Leaf(
-        "fit speed curve, thrust, torque and response of a rotor to a dynamometer's log", "dyno.fit"
+        "fit speed curve, thrust, torque and response of a rotor to a dynamometer's log", "dyno.fit:MakeFit"
     ),
-    "policy train": Leaf("train a policy in the twin of an aircraft", "policy.train", "train"),
+    "policy train": Leaf("train a policy in the twin of an aircraft", "policy.train:Train", "train"),
     "policy sweep": Leaf(
         "train many policies at once and show those that no other beats in every figure",
-        "policy.sweep",
+        "policy.sweep:MakeSweep",
         "train",
     ),
     "policy curves": Leaf(
-        "draw the training reward of runs over their steps, averaged over seeds", "policy.curves", "train"
+        "draw the training reward of runs over their steps, averaged over seeds",
+        "policy.curves:Curves",
+        "train",
     ),
     "policy import": Leaf(
-        "turn a checkpoint, or the model of another trainer, into policy.onnx", "policy.import_model"
+        "turn a checkpoint, or the model of another trainer, into policy.onnx", "policy.import_model:Import"
     ),
     "policy check": Leaf(
         "say whether a policy is fit to fly an aircraft, and why not; exit status 1 if it is not",
-        "policy.check",
+        "policy.check:Check",
         "train",
     ),
-    "policy compile": Leaf("turn policy.onnx into policy.c and policy.h", "policy.compile"),
+    "policy compile": Leaf("turn policy.onnx into policy.c and policy.h", "policy.compile:Compile"),
     "policy verify": Leaf(
-        "run a policy on every machine, from torch to the Cortex-M7, and compare them", "policy.verify"
+        "run a policy on every machine, from torch to the Cortex-M7, and compare them", "policy.verify:Verify"
     ),
     "policy time": Leaf("count what a policy takes on the board: instructions, cycles", "policy.time:Time"),
     "policy adapt": Leaf(
-        "refine a policy on what a flight told of the aircraft, and prove it", "policy.adapt", "train"
+        "refine a policy on what a flight told of the aircraft, and prove it", "policy.adapt:Adapt", "train"
     ),
     "pid tune": Leaf(
-        "find the gains of a PID, or Betaflight's settings, for an aircraft in its twin", "pid.tune", "train"
+        "find the gains of a PID, or Betaflight's settings, for an aircraft in its twin",
+        "pid.tune:Tune",
+        "train",
     ),
-    "image build": Leaf("build a firmware image or the host program around a policy", "image.build"),
+    "image build": Leaf("build a firmware image or the host program around a policy", "image.build:Build"),
     "image time": Leaf(
         "count what an image takes on the board in flight: instructions, cycles", "image.time:Time"
     ),
     "image emulate": Leaf(
         "run the image on an emulated board that lies still; other programs use its serial ports",
-        "image.emulate",
+        "image.emulate:Emulate",
     ),
     "board info": Leaf(
         "who the firmware is, which policy it flies and what forbids arming", "board.state:Info"
@@ -127,7 +130,8 @@ COMMANDS = {
         "how long each task of the processor takes, and how often it came late", "board.state:TaskLoads"
     ),
     "board monitor": Leaf(
-        "watch a running firmware live: state, attitude, channels, motors, battery, load", "board.monitor"
+        "watch a running firmware live: state, attitude, channels, motors, battery, load",
+        "board.monitor:Monitor",
     ),
     "board stream": Leaf(
         "what the firmware does, up to 500 times a second: a table, or a file", "board.stream:Streaming"
@@ -141,9 +145,12 @@ COMMANDS = {
         "measure the gyro's bias anew; the aircraft has to lie still", "board.state:Calibrate"
     ),
     "board reboot": Leaf("start the firmware anew, and wait until it answers again", "board.state:Reboot"),
-    "board rc": Leaf("send a firmware its channels over MSP, from a script or a gamepad", "board.rc"),
+    "board rc": Leaf(
+        "send a firmware its channels over MSP, from a script or a gamepad", "board.rc:Channels"
+    ),
     "board gateway": Leaf(
-        "a running firmware as a MAVLink aircraft: QGroundControl, companion computers", "board.gateway"
+        "a running firmware as a MAVLink aircraft: QGroundControl, companion computers",
+        "board.gateway:Gateway",
     ),
     "board flash": Leaf("put an image onto a board that runs Neuroflight", "board.flash:Flash"),
     "board rescue": Leaf(
@@ -200,33 +207,38 @@ COMMANDS = {
         "make all files for logs empty again; refuses while one was not fetched", "board.logs_erase:Erase"
     ),
     "log list": Leaf("the logs of a file or a folder", "log.list:List"),
-    "log decode": Leaf("frames to CSV or NumPy's .npz", "log.decode", "sim"),
-    "log plot": Leaf("draw a flight: rates, motors, battery, events", "log.plot", "sim"),
-    "log metrics": Leaf("the figures of a flight that `fly` prints, against the gyro", "log.metrics", "sim"),
-    "log commands": Leaf("how a pilot's commands are distributed", "log.commands", "sim"),
-    "log quality": Leaf("what a log can answer, and what it cannot", "log.quality", "sim"),
+    "log decode": Leaf("frames to CSV or NumPy's .npz", "log.decode:Decode", "sim"),
+    "log plot": Leaf("draw a flight: rates, motors, battery, events", "log.plot:Plot", "sim"),
+    "log metrics": Leaf(
+        "the figures of a flight that `fly` prints, against the gyro", "log.metrics:Metrics", "sim"
+    ),
+    "log commands": Leaf("how a pilot's commands are distributed", "log.commands:Distribution", "sim"),
+    "log quality": Leaf("what a log can answer, and what it cannot", "log.quality:Quality", "sim"),
     "log replay": Leaf(
         "give the firmware again what it was given in flight, and compare every motor value",
-        "log.replay",
+        "log.replay:Replay",
         "sim",
     ),
     "log card": Leaf(
-        "put empty files for logs onto a FAT32 card, list them, empty those that were copied", "log.card"
+        "put empty files for logs onto a FAT32 card, list them, empty those that were copied",
+        "log.card:OnCard",
     ),
     "compare": Leaf(
         "fly controllers side by side: on the same unseen commands, or in another suite of flights",
-        "compare.compare",
+        "compare.compare:Compare",
         "train",
     ),
-    "fly": Leaf("fly a firmware against the twin and print tracking figures", "fly.fly"),
+    "fly": Leaf("fly a firmware against the twin and print tracking figures", "fly.fly:Fly"),
     "view": Leaf(
         "show the aircraft in the attitudes of a flight: in a window, as a page that plays it, GIF, PNG",
-        "view",
+        "view:View",
     ),
     "reproduce": Leaf(
-        "run the dissertation's experiments again, its figures beside ours", "training.reproduce", "train"
+        "run the dissertation's experiments again, its figures beside ours",
+        "training.reproduce:Reproduce",
+        "train",
     ),
-    "report": Leaf("write the page of results from stored figures", "training.results", "train"),
+    "report": Leaf("write the page of results from stored figures", "training.results:Report", "train"),
     "doctor": Leaf("what is installed, which serial ports there are, and what is missing", "doctor:Doctor"),
 }
 ALIASES = {  # earlier command words, accepted for one release; options or name patterns may follow
@@ -342,32 +354,17 @@ def find(line: Sequence[str]) -> tuple[str, list[str]]:
     return "", list(line)
 
 
-def leaf_parser(words: str) -> Parser:
-    """Return the parser of a command."""
+def leaf_parser(words: str, rest: Sequence[str] = ()) -> Parser:
+    """Return the parser of a command. rest: the words behind it, by which some choose their options."""
     leaf = COMMANDS[words]
-    parser = Parser(prog=f"{PROGRAM} {words}", description=leaf.summary)
-    found = _loaded(leaf)
-    if isinstance(found, type) and issubclass(found, Request):
-        found.words = words
-    found.add_arguments(parser)
-    parser.set_defaults(command=words, _target=found)
+    file, _, name = leaf.request.partition(":")
+    module = importlib.import_module(f"{__package__}.{file}")
+    request: type[Request] = getattr(module, name).chosen(rest)
+    request.words = words
+    parser = Parser(prog=f"{PROGRAM} {words}", description=f"{leaf.summary}{request.more}")
+    request.add_arguments(parser)
+    parser.set_defaults(command=words, request=request)
     return parser
-
-
-def run(args: argparse.Namespace) -> int:
-    """Carry out the command of a parsed line. Returns the exit code."""
-    target = args._target
-    if isinstance(target, type) and issubclass(target, Request):
-        return target.of(args).run()
-    if getattr(args, "find_port", None) is not None and args.port is None:
-        args.port = args.find_port()
-    return int(target.run(args))
-
-
-def _loaded(leaf: Leaf) -> ModuleType | type[Request]:
-    module, _, name = leaf.module.partition(":")
-    loaded = importlib.import_module(f"{__package__}.{module}")
-    return cast("type[Request]", getattr(loaded, name)) if name else loaded
 
 
 def below(group: str) -> dict[str, str]:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
+from neuroflight.cli.options import Json, OfPart
+from neuroflight.cli.progress import progress_bars
+from neuroflight.cli.report import print_json
+from neuroflight.cli.requests import Argument, Option
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -22,61 +27,69 @@ MOUNTS = ("centre", "rig", "free")
 SHORTER = "choose a part of it by --from and --to"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare flight and picture."""
-    from neuroflight.cli.log.reading import add_part_arguments
+@dataclass(frozen=True, kw_only=True)
+class View(OfPart):
+    """A request to see the aircraft in a flight."""
 
-    parser.add_argument(
-        "flight",
-        metavar="TRACE.npz|LOG.bbl[:N]|POLICY.onnx|pid[:NAME]",
-        help="a flight's trace or log; or who is to fly --scenario now",
+    flight: Annotated[
+        str,
+        Argument(
+            "TRACE.npz|LOG.bbl[:N]|POLICY.onnx|pid[:NAME]",
+            "a flight's trace or log; or who is to fly --scenario now",
+        ),
+    ]
+    out: Annotated[
+        Path | None,
+        Option(
+            "FILE.html|FILE.gif|FILE.png",
+            "a page that plays the flight, an animation, or poses; default: a window",
+        ),
+    ] = None
+    aircraft: Annotated[str, Option("NAME|FILE", "which is drawn, and flown")] = "nf1"
+    scenario: Annotated[str, Option("NAME|FILE", "as of `fly`; default: roll")] = "roll"
+    mount: Annotated[
+        str | None, Option(None, "as of `fly`: free shows where the aircraft goes", choices=MOUNTS)
+    ] = None
+    seed: Annotated[int, Option("S", "of commands, noise and bias", low=0)] = 1
+    at: Annotated[tuple[float, ...] | None, Option("S", "PNG: the poses at these times", most=STRIP_MAX)] = (
+        None
     )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE.html|FILE.gif|FILE.png",
-        help="a page that plays the flight, an animation, or poses; default: a window",
-    )
-    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="which is drawn, and flown")
-    parser.add_argument("--scenario", default="roll", metavar="NAME|FILE", help="as of `fly`; default: roll")
-    parser.add_argument("--mount", choices=MOUNTS, help="as of `fly`: free shows where the aircraft goes")
-    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and bias")
-    add_part_arguments(parser, "the first armed row")
-    parser.add_argument(
-        "--at", type=float, nargs="+", metavar="SECONDS", help="PNG: the poses at these times"
-    )
-    parser.add_argument("--strip", type=int, metavar="N", help=f"PNG: N poses in equal steps ({STRIP})")
-    parser.add_argument(
-        "--speed", type=float, default=1.0, help="of playing: 0.25 is four times slower; default: 1"
-    )
+    strip: Annotated[
+        int | None, Option("N", f"PNG: N poses in equal steps ({STRIP})", low=1, high=STRIP_MAX)
+    ] = None
+    speed: Annotated[
+        float, Option("FACTOR", "of playing: 0.25 is four times slower; default: 1", low=0.01, high=10.0)
+    ] = 1.0
+    json: Json = False
+
+    def run(self) -> int:
+        """Read or fly, find the attitude, draw or play. Returns 0."""
+        from neuroflight.cli.log.reading import tell_damage
+        from neuroflight.sim.aircraft.model import load_aircraft
+
+        _check(self)
+        scene, log = _scene(self, load_aircraft(self.aircraft))
+        steps, motors = scene.trace.dshot.shape
+        if motors != scene.aircraft.motor_count:
+            raise NeuroflightError(
+                f"{self.flight}: a flight of {motors} motors, {scene.aircraft.name} has "
+                f"{scene.aircraft.motor_count}; say by --aircraft which one flew"
+            )
+        if steps > ROWS_MAX:
+            raise NeuroflightError(f"{self.flight}: {steps} rows, expected at most {ROWS_MAX}; {SHORTER}")
+        told = _out(self, scene)
+        if self.json:
+            print_json({"flight": self.flight, "title": scene.title, "attitude": scene.source, **told})
+        else:
+            print(f"{_told(told)}; {scene.source}")
+        if log is not None:
+            tell_damage(log)
+        return 0
 
 
-def run(args: argparse.Namespace) -> int:
-    """Read or fly, find the attitude, draw or play. Returns 0."""
-    from neuroflight.cli.log.reading import tell_damage
-    from neuroflight.sim.aircraft.model import load_aircraft
-
-    _check(args)
-    scene, log = _scene(args, load_aircraft(args.aircraft))
-    steps, motors = scene.trace.dshot.shape
-    if motors != scene.aircraft.motor_count:
-        raise NeuroflightError(
-            f"{args.flight}: a flight of {motors} motors, {scene.aircraft.name} has "
-            f"{scene.aircraft.motor_count}; say by --aircraft which one flew"
-        )
-    if steps > ROWS_MAX:
-        raise NeuroflightError(f"{args.flight}: {steps} rows, expected at most {ROWS_MAX}; {SHORTER}")
-    told = _out(args, scene)
-    print(f"{told}; {scene.source}")
-    if log is not None:
-        tell_damage(log)
-    return 0
-
-
-def _check(args: argparse.Namespace) -> None:
+def _check(args: View) -> None:
     import os
 
-    from neuroflight.cli.log.reading import check_part
     from neuroflight.cli.output import check_output
 
     suffix = None if args.out is None else args.out.suffix
@@ -87,22 +100,14 @@ def _check(args: argparse.Namespace) -> None:
         raise NeuroflightError(f"--out {args.out}: expected a name that ends in {', '.join(FORMS)}")
     else:
         check_output(args.out, suffix)
-    check_part(args)
-    if not 0.01 <= args.speed <= 10:
-        raise NeuroflightError(f"--speed: got {args.speed:g}, expected 0.01 to 10")
-    if args.strip is not None and not 1 <= args.strip <= STRIP_MAX:
-        raise NeuroflightError(f"--strip: got {args.strip}, expected 1 to {STRIP_MAX}")
-    if args.at is not None and len(args.at) > STRIP_MAX:
-        raise NeuroflightError(f"--at: got {len(args.at)} times, expected at most {STRIP_MAX}")
     if args.at is not None and args.strip is not None:
         raise NeuroflightError("--at and --strip both choose the poses; give one of them")
     if suffix != ".png" and (args.at is not None or args.strip is not None):
         raise NeuroflightError(f"--at and --strip choose the poses of a .png, got --out {args.out}")
 
 
-def _scene(args: argparse.Namespace, aircraft: Aircraft) -> tuple[Scene, Log | None]:
+def _scene(args: View, aircraft: Aircraft) -> tuple[Scene, Log | None]:
     """Return the flight, and the log that it was read from."""
-    from neuroflight.cli.log.reading import part
     from neuroflight.sim.recorded.log import SUFFIXES, split_number
     from neuroflight.sim.viewing.scene import recorded
 
@@ -112,23 +117,23 @@ def _scene(args: argparse.Namespace, aircraft: Aircraft) -> tuple[Scene, Log | N
         from neuroflight.sim.blackbox.flight import cut
         from neuroflight.sim.flight.trace import load_trace
 
-        trace = cut(load_trace(path), part(args))
-        return recorded(path.name, aircraft, trace, args.start), None
+        trace = cut(load_trace(path), args.part)
+        return recorded(path.name, aircraft, trace, args.part.start_s), None
     if suffix in SUFFIXES:
         from neuroflight.sim.blackbox.flight import log_trace
         from neuroflight.sim.blackbox.log import read_log
 
         log = read_log(path, number)
         name = f"{path.name}, log {log.number}"
-        return recorded(name, aircraft, log_trace(log, part(args)), args.start), log
+        return recorded(name, aircraft, log_trace(log, args.part), args.part.start_s), log
     if suffix == ".onnx" or args.flight.split(":")[0] == "pid":
-        return _fly(args, aircraft).part(part(args)), None
+        return _fly(args, aircraft).part(args.part), None
     raise NeuroflightError(
         f"{args.flight}: expected a trace (.npz), a log ({', '.join(SUFFIXES)}), a policy (.onnx) or pid"
     )
 
 
-def _fly(args: argparse.Namespace, aircraft: Aircraft) -> Scene:
+def _fly(args: View, aircraft: Aircraft) -> Scene:
     from contextlib import closing
 
     import numpy as np
@@ -141,8 +146,6 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft) -> Scene:
     from neuroflight.sim.viewing.scene import Watch
     from neuroflight.training.evaluation.manoeuvres import port_controller
 
-    if args.seed < 0:
-        raise NeuroflightError(f"--seed: got {args.seed}, expected 0 or more")
     mount = None if args.mount is None else Mount(args.mount)
     scenario = load_scenario(args.scenario, args.seed, mount=mount)
     flown = port_controller(args.flight, aircraft)
@@ -155,8 +158,15 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft) -> Scene:
     return watch.scene(f"{flown.label}: {scenario.name}", aircraft, trace)
 
 
-def _out(args: argparse.Namespace, scene: Scene) -> str:
-    """Play or write the scene; return a line about it."""
+def _told(told: Mapping[str, Any]) -> str:
+    """Return what `_out` did, in words."""
+    if told["written"] is None:
+        return f"{told['title']}: {told['seconds']:.2f} s"
+    return f"{told['written']}: {told['poses']} pose{'s' * (told['poses'] > 1)} of {told['seconds']:.2f} s"
+
+
+def _out(args: View, scene: Scene) -> dict[str, Any]:
+    """Play or write the scene; return what was done."""
     import numpy as np
 
     begin, end = float(scene.trace.t[0]), float(scene.trace.t[-1])
@@ -166,7 +176,7 @@ def _out(args: argparse.Namespace, scene: Scene) -> str:
         from neuroflight.sim.viewing.window import play
 
         play(scene, args.speed, monotonic, sleep)
-        return f"{scene.title}: {end - begin:.2f} s"
+        return {"title": scene.title, "written": None, "seconds": end - begin}
     if args.out.suffix == ".html":
         from neuroflight.sim.viewing import page
 
@@ -188,20 +198,15 @@ def _out(args: argparse.Namespace, scene: Scene) -> str:
     if args.out.suffix == ".html":
         page.save_page(args.out, scene, args.speed)
     else:
-        _draw(args.out, scene, scene.rows(times))
-    return f"{args.out}: {len(times)} pose{'s' * (len(times) > 1)} of {end - begin:.2f} s"
+        _draw(args.out, scene, scene.rows(times), quiet=args.json)
+    return {"title": scene.title, "written": str(args.out), "poses": len(times), "seconds": end - begin}
 
 
-def _draw(out: Path, scene: Scene, rows: list[int]) -> None:
-    from rich.console import Console
-    from rich.progress import Progress
-
+def _draw(out: Path, scene: Scene, rows: list[int], *, quiet: bool) -> None:
     from neuroflight.sim.viewing.pictures import FRAME_S, save_gif, save_strip
 
     if out.suffix == ".png":
         save_strip(out, scene, rows)
         return
-    hidden = not sys.stderr.isatty()
-    with Progress(console=Console(stderr=True), transient=True, disable=hidden) as bar:
-        task = bar.add_task("drawing", total=1.0)
-        save_gif(out, scene, rows, FRAME_S, lambda done: bar.update(task, completed=done))
+    with progress_bars(quiet) as bar:
+        save_gif(out, scene, rows, FRAME_S, bar("drawing"))

@@ -10,7 +10,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from neuroflight.toolchain.files import write_bytes
@@ -36,8 +36,12 @@ def titled_figure(size: tuple[float, float], title: str, pad: tuple[float, float
     return figure
 
 
-def dress(panel: Axes, name: str) -> None:
-    """Set title, grid and spines of a panel in the style that all plots share."""
+def dress(panel: Axes, name: str, across: str = "", up: str = "") -> None:
+    """Set title, labels of the axes across and up, grid and spines of a panel as in all plots."""
+    if across:
+        panel.set_xlabel(across, color=INK)
+    if up:
+        panel.set_ylabel(up, color=INK)
     panel.set_title(name, loc="left", fontsize=11, fontweight="bold", color=INK, pad=4)
     panel.grid(color=GRID, lw=0.6)
     panel.set_axisbelow(True)
@@ -74,6 +78,13 @@ def legend_above(panel: Axes) -> Legend:
         borderaxespad=0.2,
         handlelength=1.6,
     )
+
+
+def log_numbers(axis: Axis) -> None:
+    """Label a logarithmic axis at 1, 2 and 5 times powers of ten, with plain numbers."""
+    axis.set_major_locator(LogLocator(base=10, subs=(1, 2, 5)))
+    axis.set_minor_locator(NullLocator())
+    plain_numbers(axis)
 
 
 def plain_numbers(axis: Axis) -> None:

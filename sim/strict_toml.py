@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+import tomllib
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from neuroflight.toolchain.errors import NeuroflightError
@@ -11,6 +13,25 @@ Value = TypeVar("Value")
 SHOWN_MAX = 60  # characters of a wrong value in a message
 TEXT_MAX = 200  # characters
 LINES_MAX = 4000  # of text with several lines
+
+
+def parse_toml(data: bytes, where: str, failure: type[NeuroflightError]) -> dict[str, Any]:
+    """Parse the bytes of a file that others wrote. Raises `failure`, naming `where` and the line."""
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = data[error.start]
+        raise failure(
+            f"{where}: not UTF-8: byte 0x{byte:02x} at {error.start}; save it as UTF-8 text"
+        ) from error
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
+        lines = text.splitlines()
+        found = re.search(r"at line (\d+)", str(error))
+        line = lines[int(found[1]) - 1].strip() if found and int(found[1]) <= len(lines) else ""
+        at = f": {line[:SHOWN_MAX]!r}" if line else ""
+        raise failure(f"{where}: not TOML: {error or 'nested too deep'}{at}") from error
 
 
 class StrictTable:
@@ -48,6 +69,10 @@ class StrictTable:
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
         """Read a finite number in [low, high]."""
         return self._number(key, self._get(key, default), low, high)
+
+    def optional_number(self, key: str, low: float, high: float) -> float | None:
+        """Read a finite number in [low, high]; None if the file does not give it."""
+        return self.number(key, low, high) if self.has(key) else None
 
     def integer(self, key: str, low: int, high: int, default: int | None = None) -> int:
         """Read a whole number in [low, high]."""
@@ -115,6 +140,24 @@ class StrictTable:
         if not isinstance(value, dict):
             raise self.error(key, f"got {shown(value)}, expected a table [{self._path}{key}]")
         return self._within(value, key)
+
+    def part(self, key: str, read: Callable[[StrictTable], Value]) -> Value:
+        """Return what `read` makes of the table called `key`, in which no key may be left over."""
+        return self.table(key).whole(read)
+
+    def optional_part(self, key: str, read: Callable[[StrictTable], Value]) -> Value | None:
+        """Return `part`; None if the file has no such table."""
+        return self.part(key, read) if self.has(key) else None
+
+    def parts(self, key: str, low: int, high: int, read: Callable[[StrictTable], Value]) -> tuple[Value, ...]:
+        """Return what `read` makes of each table [[key]], `low` to `high` of them."""
+        return tuple(table.whole(read) for table in self.tables(key, low, high))
+
+    def whole(self, read: Callable[[StrictTable], Value]) -> Value:
+        """Return what `read` makes of this table, and `finish` it."""
+        value = read(self)
+        self.finish()
+        return value
 
     def tables(self, key: str, low: int, high: int) -> list[StrictTable]:
         """Return the list of tables [[key]], `low` to `high` of them."""

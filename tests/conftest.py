@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import os
+import pickle
 import shutil
 import signal
+import sys
 import threading
 from collections.abc import Generator
+from functools import cache
 from pathlib import Path
 
 from neuroflight.cli.main import THREADS
@@ -81,9 +85,32 @@ def shipped_policy() -> Path:
     return SHIPPED
 
 
+@cache
+def sources() -> bytes:
+    """Return the digest of what makes a build around a policy. It does not change in a run."""
+    digest = hashlib.sha256(sys.version.encode())
+    for path in sorted(path for folder in ("firmware", "toolchain") for path in (ROOT / folder).rglob("*")):
+        if path.is_file() and path.suffix != ".pyc" and "generated" not in path.parts:
+            digest.update(path.read_bytes())
+    return digest.digest()
+
+
+def build_once(
+    target: str, policy: Path, folder: Path, pid: PidTable | None, aircraft: AircraftFacts | None = None
+) -> None:
+    """Build into `folder`/<target>, unless the same was built there: to look whether it is takes a second."""
+    given = pickle.dumps((target, policy.read_bytes(), pid, aircraft))
+    made_of = hashlib.sha256(sources() + given).hexdigest()
+    note = folder / target / "made_of.txt"
+    if not note.exists() or note.read_text() != made_of:
+        note.unlink(missing_ok=True)
+        build(target, policy, ROOT, folder, pid, aircraft)
+        note.write_text(made_of)
+
+
 def build_shipped(target: str, policy: Path) -> None:
     """Build it with the PID of the aircraft that it was trained for."""
-    build(target, policy, ROOT, BUILD, pid_table(load_aircraft("nf1")))
+    build_once(target, policy, BUILD, pid_table(load_aircraft("nf1")))
 
 
 def build_beside(
@@ -111,7 +138,7 @@ def build_beside(
                     dependencies.with_suffix(".o").unlink()
                 dependencies.write_text(text.replace(str(made), str(out)))
             aside.rename(out)
-    build(target, policy, ROOT, folder, pid, aircraft)
+    build_once(target, policy, folder, pid, aircraft)
     return out
 
 

@@ -43,7 +43,7 @@ NOT_ASKED = (  # names in a namespace that no option gave: words, defaults that 
     *("command", "action", "list", "revert", "rom", "usage_error"),
     "episodes_default",
 )
-LATER = ("count", "mount")  # whose default the work looks up now
+LATER = ("count", "mount", "start")  # whose default the work looks up now
 POLICY = "training/policies/nf1"
 SAMPLE = (  # what takes seconds; {out}: a folder of the run's own
     "aircraft check nf1 --json",
@@ -184,7 +184,7 @@ def run(words: str, tree: Path, module: str, out: Path) -> tuple[int, str, list[
     products = {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
     return (
         done.returncode,
-        done.stdout.replace(str(out), "OUT"),
+        " ".join(done.stdout.replace(str(out), "OUT").split()),  # a table may be wider
         done.stderr.replace(str(out), "OUT").splitlines(),
         products,
     )

@@ -13,11 +13,11 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from neuroflight.cli.compare.compare import DEFAULT, SUITES, suite_parser
+from neuroflight.cli.compare.compare import DEFAULT, SUITES
 from neuroflight.cli.tree import COMMANDS, leaf_parser
 from neuroflight.toolchain.files import write_text_if_changed
-from neuroflight.toolchain.rendering.msp_page import msp_page
-from neuroflight.toolchain.rendering.settings_page import settings_page
+from neuroflight.toolchain.rendering.msp_page import msp_tables
+from neuroflight.toolchain.rendering.settings_page import settings_table
 from neuroflight.training.config.algorithms import ALGORITHMS
 from neuroflight.training.config.randomization import Randomization
 from neuroflight.training.config.selection import SelectionLimits
@@ -49,7 +49,7 @@ def commands_page() -> str:
         if words == "compare":
             others = [kind.names[0] for kind in dict.fromkeys(SUITES.values()) if DEFAULT not in kind.names]
             for name in others:
-                parts += _command(f"{words} --suite {name}", suite_parser(leaf, name))
+                parts += _command(f"{words} --suite {name}", leaf_parser(words, ["--suite", name]))
     return "\n\n".join(parts) + "\n"
 
 
@@ -176,6 +176,27 @@ def _toml(value: object) -> str:
         case tuple():
             return f"[{', '.join(_toml(each) for each in value)}]"
     return str(value)
+
+
+# --- Pages written by hand around tables from the code ----------------------------------------------
+TABLE = re.compile(r"(<!-- (\w+) -->\n\n).*?(\n\n<!-- end -->)", re.DOTALL)
+
+
+def msp_page() -> str:
+    """Return docs/reference/msp.md with its tables as the contract and the firmware have them."""
+    return _filled("msp", msp_tables())
+
+
+def settings_page() -> str:
+    """Return docs/reference/settings.md with the table of all settings."""
+    return _filled("settings", {"settings": settings_table()})
+
+
+def _filled(name: str, tables: dict[str, str]) -> str:
+    """Return a page with each of the tables in its place, which is marked there by its name."""
+    page = (FOLDER / f"{name}.md").read_text()
+    assert [found[2] for found in TABLE.finditer(page)] == list(tables), f"{name}.md marks other tables"
+    return TABLE.sub(lambda found: found[1] + tables[found[2]] + found[3], page)
 
 
 # --- Pages ------------------------------------------------------------------------------------------

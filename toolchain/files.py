@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from neuroflight.toolchain.errors import InUseError
+from neuroflight.toolchain.errors import InUseError, NeuroflightError
 
 LOCK = ".lock"  # in a folder
 PROBE_BYTES = 64 << 10  # that a place must have room for
@@ -65,6 +65,18 @@ def file_size(path: Path) -> int:
     if not stat.S_ISREG(facts.st_mode):
         raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
     return facts.st_size
+
+
+def read_limited(path: Path, where: str, most: int, failure: type[NeuroflightError], mend: str = "") -> bytes:
+    """Read a file of at most `most` bytes. Raises `failure`, naming `where`; mend: ends that on its size."""
+    try:
+        size = file_size(path)
+        data = path.read_bytes() if size <= most else b""
+    except OSError as error:
+        raise failure(f"{where}: cannot be read: {error.strerror}") from error
+    if size > most:
+        raise failure(f"{where}: {size} bytes, expected at most {most}{mend}")
+    return data
 
 
 @contextmanager

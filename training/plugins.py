@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.toolchain.errors import NeuroflightError, TrainingError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 from neuroflight.training.tasks.registry import TASKS
 from neuroflight.training.tasks.reward import REWARDS, Reward, Rewards, Transition
 from neuroflight.training.tasks.task import FULL_STICK_DEG_S, LENGTH_MAX_S, Setpoints, Task
@@ -276,14 +276,9 @@ def _registered() -> set[type[Any]]:
 
 
 def _read(path: Path) -> tuple[bytes, Plugin]:
-    try:
-        if path.suffix != ".py" or not path.is_file():
-            raise TrainingError(f"{path}: no such file; expected a Python file, such as my_reward.py")
-        if (size := file_size(path)) > FILE_BYTES_MAX:
-            raise TrainingError(f"{path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
-        source = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise TrainingError(f"{path}: cannot be read: {error}") from error
+    if path.suffix != ".py" or not path.is_file():
+        raise TrainingError(f"{path}: no such file; expected a Python file, such as my_reward.py")
+    source = read_limited(path, str(path), FILE_BYTES_MAX, TrainingError)
     return source, Plugin(path.resolve(), hashlib.sha256(source).hexdigest())
 
 

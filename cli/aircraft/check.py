@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from neuroflight.cli.options import Json
+from neuroflight.cli.report import print_facts, print_json
 from neuroflight.cli.requests import Argument, Option, Request
 
 if TYPE_CHECKING:
@@ -21,28 +22,22 @@ class Check(Request):
 
     file: Annotated[str, Argument("file", "path of a .toml file, or the name of a shipped aircraft")]
     plot: Annotated[
-        Path | None, Option("FILE.png", "draw it from above and from behind", old=("--draw",))
+        Path | None, Option("FILE.png", "draw it from above and from behind", old=("--draw",), suffix=".png")
     ] = None
-    json: Annotated[bool, Option(None, "print JSON instead of tables")] = False
+    json: Json = False
 
     def run(self) -> int:
         """Examine, draw and print. Returns 0, or 1 if one of the verdicts is an error."""
         from neuroflight.sim.aircraft.model import load_aircraft
         from neuroflight.sim.design.airworthiness import Level, examine
         from neuroflight.sim.design.drawing import save_drawing
-        from neuroflight.toolchain.errors import AircraftError
 
-        if self.plot is not None and self.plot.suffix.lower() != ".png":
-            raise AircraftError(f"--plot {self.plot}: expected a name that ends in .png")
         aircraft = load_aircraft(self.file)
         figures, verdicts = examine(aircraft)
         if self.plot is not None:
-            try:
-                save_drawing(self.plot, aircraft, figures)
-            except OSError as error:
-                raise AircraftError(f"--plot {self.plot}: cannot be written: {error.strerror}") from error
+            save_drawing(self.plot, aircraft, figures)
         if self.json:
-            print(json.dumps(_document(aircraft, figures, verdicts), indent=2, allow_nan=False))
+            print_json(_document(aircraft, figures, verdicts))
         else:
             _print(aircraft, figures, verdicts, self.plot)
         return int(any(verdict.level is Level.ERROR for verdict in verdicts))
@@ -87,27 +82,18 @@ def _document(aircraft: Aircraft, figures: AircraftFigures, verdicts: list[Verdi
 
 
 def _print(aircraft: Aircraft, figures: AircraftFigures, verdicts: list[Verdict], drawn: Path | None) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
     from neuroflight.sim.design.airworthiness import Level
 
-    console = Console(highlight=False)
-    console.print(Text(f"{aircraft.name}: {aircraft.description or 'no description'}", style="bold"))
-    table = Table.grid(padding=(0, 2))
-    for label, value in _rows(aircraft, figures):
-        table.add_row(Text(label), Text(value, overflow="fold"))
-    console.print(table)
-    console.print()
+    print(f"{aircraft.name}: {aircraft.description or 'no description'}")
+    print_facts(_rows(aircraft, figures))
+    print()
     styles = {Level.OK: "green", Level.WARNING: "yellow", Level.ERROR: "bold red"}
-    table = Table.grid(padding=(0, 2))
-    for verdict in verdicts:
-        level = Text(verdict.level.value, style=styles[verdict.level])
-        table.add_row(level, Text(verdict.subject), Text(verdict.message, overflow="fold"))
-    console.print(table)
+    print_facts(
+        ((each.level.value, each.subject, each.message) for each in verdicts),
+        styles=[styles[each.level] for each in verdicts],
+    )
     if drawn is not None:
-        console.print(Text(f"\ndrawn: {drawn}"))
+        print(f"\ndrawn: {drawn}")
 
 
 def _rows(aircraft: Aircraft, figures: AircraftFigures) -> list[tuple[str, str]]:

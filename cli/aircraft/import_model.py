@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from neuroflight.cli.options import Json
+from neuroflight.cli.report import print_json
 from neuroflight.cli.requests import Argument, Option, Request
 
 
@@ -15,7 +16,7 @@ class Import(Request):
     """A request for an aircraft file from another simulator's model."""
 
     file: Annotated[Path, Argument("FILE.urdf|FILE.sdf", "expanded, if it is a template")]
-    out: Annotated[Path, Option("FILE.toml", "a new file")]
+    out: Annotated[Path, Option("FILE.toml", "a new file", suffix=".toml")]
     like: Annotated[
         str | None,
         Option(
@@ -29,16 +30,14 @@ class Import(Request):
         Option("cw,ccw,…", "turns of the rotors seen from above, where the model does not say them"),
     ] = None
     name: Annotated[str | None, Option("NAME", "of the aircraft; default: the model's")] = None
-    json: Annotated[bool, Option(None, "print JSON instead of lines")] = False
+    json: Json = False
 
     def run(self) -> int:
         """Write the aircraft of a model, and print what it is and what is assumed."""
-        from neuroflight.cli.output import check_output
         from neuroflight.sim.aircraft.robot_aircraft import import_aircraft
         from neuroflight.toolchain.errors import AircraftError
         from neuroflight.toolchain.files import write_text
 
-        check_output(self.out, ".toml")
         if self.out.exists():
             raise AircraftError(
                 f"--out {self.out}: exists; name a new file, so that nothing written by hand is lost"
@@ -58,7 +57,7 @@ class Import(Request):
                 "assumed": list(found.assumed),
                 "notes": list(found.notes),
             }
-            print(json.dumps(told, indent=2))
+            print_json(told)
             return 0
         parts = f"{aircraft.motor_count} rotors, {aircraft.mass_properties.mass:.4g} kg"
         print(f"{self.file} -> {self.out}: {aircraft.name}, {parts}")

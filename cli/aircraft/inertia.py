@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from neuroflight.cli.aircraft.recordings import FORMS, add_choice, choice
+from neuroflight.cli.aircraft.recordings import FORMS, OfGyroLog
+from neuroflight.cli.options import Json, picture
+from neuroflight.cli.report import print_json
+from neuroflight.cli.requests import Argument, Either, Option
 from neuroflight.toolchain.contract import AXES
 from neuroflight.toolchain.errors import NeuroflightError
 
@@ -17,78 +19,74 @@ if TYPE_CHECKING:
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.sim.identification.swing import Moment, Swing
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the logs or tables, and the outputs."""
-    parser.description = f"{parser.description}, a log an axis: {FORMS}. See docs/guides/inertia.md."
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="one a hanging, up to three axes")
-    wires = parser.add_mutually_exclusive_group(required=True)
-    wires.add_argument(
-        "--bifilar",
-        type=float,
-        nargs=3,
-        metavar=("KG", "DISTANCE", "LENGTH"),
-        help="two parallel wires: mass that hangs on them, metres between them, metres of each",
-    )
-    wires.add_argument("--stiffness", type=float, metavar="N_M_RAD", help="of a torsion wire [N m/rad]")
-    wires.add_argument(
-        "--reference",
-        nargs=2,
-        metavar=("LOG", "KG_M2"),
-        help="a log of a body of known moment, the gyro's own included, on the same torsion wire",
-    )
-    parser.add_argument("--aircraft", metavar="NAME|FILE", help="compare with this aircraft's moments")
-    add_choice(parser)
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw swings and fits")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+WIRES = Either(required=True)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Fit the logs, print the moments. Returns 0."""
-    from neuroflight.cli.output import check_output
-    from neuroflight.sim.aircraft.model import load_aircraft
-    from neuroflight.sim.identification.recording import read_recording
-    from neuroflight.sim.identification.swing import find_swing
-    from neuroflight.sim.identification.swing_plot import draw_swings
-    from neuroflight.sim.plotting import save_png
+@dataclass(frozen=True, kw_only=True)
+class Inertia(OfGyroLog):
+    """A request for moments of inertia from swings."""
 
-    _check(args)
-    check_output(args.plot, ".png")
-    aircraft = load_aircraft(args.aircraft) if args.aircraft else None
-    chosen = choice(args)
-    swings: list[Swing] = []
-    notes: list[str] = []
-    for path in args.logs:
-        recording = read_recording(path, chosen)
-        swings.append(find_swing(recording, str(path)))
-        notes += recording.notes
-    found = sorted({swing.axis for swing in swings})
-    if len(found) < len(swings):
-        raise NeuroflightError(f"{len(swings)} logs swing about {len(found)} axes, expected an axis each")
-    moments = _moments(args, swings)
-    if args.plot:
-        save_png(args.plot, draw_swings(swings, "Swings on wires"))
-    if args.json:
-        print(json.dumps(_document(args, swings, moments, aircraft), indent=2))
-    else:
-        _print(args, swings, moments, aircraft)
-    for note in notes:
-        print(f"neuroflight: {note}", file=sys.stderr)
-    return 0
+    logs: Annotated[tuple[Path, ...], Argument("LOG", "one a hanging, up to three axes", most=len(AXES))]
+    bifilar: Annotated[
+        tuple[float, ...] | None,
+        Option(
+            ("KG", "DISTANCE", "LENGTH"),
+            "two parallel wires: mass that hangs on them, metres between them, metres of each",
+            above=0.0,
+            number=3,
+            either=WIRES,
+        ),
+    ] = None
+    stiffness: Annotated[
+        float | None, Option("N_M_RAD", "of a torsion wire [N m/rad]", above=0.0, either=WIRES)
+    ] = None
+    reference: Annotated[
+        tuple[str, ...] | None,
+        Option(
+            ("LOG", "KG_M2"),
+            "a log of a body of known moment, the gyro's own included, on the same torsion wire",
+            number=2,
+            either=WIRES,
+        ),
+    ] = None
+    aircraft: Annotated[str | None, Option("NAME|FILE", "compare with this aircraft's moments")] = None
+    plot: Annotated[Path | None, picture("draw swings and fits")] = None
+    json: Json = False
+
+    more: ClassVar[str] = f", a log an axis: {FORMS}. See docs/guides/inertia.md."
+
+    def run(self) -> int:
+        """Fit the logs, print the moments. Returns 0."""
+        from neuroflight.sim.aircraft.model import load_aircraft
+        from neuroflight.sim.identification.recording import read_recording
+        from neuroflight.sim.identification.swing import find_swing
+        from neuroflight.sim.identification.swing_plot import draw_swings
+        from neuroflight.sim.plotting import save_png
+
+        aircraft = load_aircraft(self.aircraft) if self.aircraft else None
+        chosen = self.choice
+        swings: list[Swing] = []
+        notes: list[str] = []
+        for path in self.logs:
+            recording = read_recording(path, chosen)
+            swings.append(find_swing(recording, str(path)))
+            notes += recording.notes
+        found = sorted({swing.axis for swing in swings})
+        if len(found) < len(swings):
+            raise NeuroflightError(f"{len(swings)} logs swing about {len(found)} axes, expected an axis each")
+        moments = _moments(self, swings)
+        if self.plot:
+            save_png(self.plot, draw_swings(swings, "Swings on wires"))
+        if self.json:
+            print_json(_document(self, swings, moments, aircraft))
+        else:
+            _print(self, swings, moments, aircraft)
+        for note in notes:
+            print(f"neuroflight: {note}", file=sys.stderr)
+        return 0
 
 
-def _check(args: argparse.Namespace) -> None:
-    """Raise NeuroflightError if a number is out of range, NaN included."""
-    known = [("--stiffness", args.stiffness)]
-    known += [("--bifilar", value) for value in args.bifilar or ()]
-    for option, value in known:
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise NeuroflightError(f"{option} {value}, expected a number above 0")
-    if len(args.logs) > len(AXES):
-        raise NeuroflightError(f"{len(args.logs)} logs, expected one an axis, at most {len(AXES)}")
-
-
-def _moments(args: argparse.Namespace, swings: list[Swing]) -> list[Moment]:
+def _moments(args: Inertia, swings: list[Swing]) -> list[Moment]:
     from neuroflight.sim.identification.recording import read_recording
     from neuroflight.sim.identification.swing import (
         Moment,
@@ -102,6 +100,7 @@ def _moments(args: argparse.Namespace, swings: list[Swing]) -> list[Moment]:
         return [moment(swing, bifilar_stiffness(*args.bifilar), bifilar=True) for swing in swings]
     if args.stiffness:
         return [moment(swing, args.stiffness) for swing in swings]
+    assert args.reference is not None  # one of the three is given
     path, text = args.reference
     try:
         known = float(text)
@@ -109,14 +108,14 @@ def _moments(args: argparse.Namespace, swings: list[Swing]) -> list[Moment]:
         known = math.nan
     if not (math.isfinite(known) and known > 0.0):
         raise NeuroflightError(f"--reference {path} {text}: expected LOG KG_M2, a moment above 0")
-    body = find_swing(read_recording(Path(path), choice(args)), path)
+    body = find_swing(read_recording(Path(path), args.choice), path)
     stiffness, relative = reference_stiffness(body, known)
     each = [moment(swing, stiffness) for swing in swings]
     return [Moment(m.value, math.hypot(m.margin, relative * m.value)) for m in each]
 
 
 def _document(
-    args: argparse.Namespace, swings: list[Swing], moments: list[Moment], aircraft: Aircraft | None
+    args: Inertia, swings: list[Swing], moments: list[Moment], aircraft: Aircraft | None
 ) -> dict[str, Any]:
     rows = {}
     for path, swing, found in zip(args.logs, swings, moments, strict=True):
@@ -145,9 +144,7 @@ def _line(swings: list[Swing], moments: list[Moment]) -> str | None:
     return f"inertia_kg_m2 = [{', '.join(f'{by_axis[axis]:.4g}' for axis in range(len(AXES)))}]"
 
 
-def _print(
-    args: argparse.Namespace, swings: list[Swing], moments: list[Moment], aircraft: Aircraft | None
-) -> None:
+def _print(args: Inertia, swings: list[Swing], moments: list[Moment], aircraft: Aircraft | None) -> None:
     for path, swing, found in zip(args.logs, swings, moments, strict=True):
         words = ""
         if aircraft is not None:

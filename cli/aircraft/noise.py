@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from neuroflight.cli.aircraft.recordings import FORMS, add_choice, choice
+from neuroflight.cli.aircraft.recordings import FORMS, OfGyroLog
+from neuroflight.cli.options import Json, picture
+from neuroflight.cli.report import print_json, print_table
+from neuroflight.cli.requests import Argument, Option
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -22,73 +24,76 @@ BIAS_NOTE = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the log, the choice of its parts, and the outputs."""
-    parser.description = (
-        f"{parser.description}: {FORMS}. Record a minute or longer on the ground; armed and idling, without "
-        f"propellers, the motors' vibration is in it. {BIAS_NOTE}"
+@dataclass(frozen=True, kw_only=True)
+class MeasureNoise(OfGyroLog):
+    """A request for the noise of a gyro and an accelerometer at rest."""
+
+    log: Annotated[Path, Argument("LOG", "the log")]
+    write: Annotated[Path | None, Option("AIRCRAFT.toml", "put noise and bias into this aircraft file")] = (
+        None
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help="the log")
-    add_choice(parser)
-    parser.add_argument(
-        "--write", type=Path, metavar="AIRCRAFT.toml", help="put noise and bias into this aircraft file"
+    plot: Annotated[Path | None, picture("draw Allan deviation and histogram")] = None
+    json: Json = False
+
+    more: ClassVar[str] = (
+        f": {FORMS}. Record a minute or longer on the ground; armed and idling, without propellers, the "
+        f"motors' vibration is in it. {BIAS_NOTE}"
     )
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw Allan deviation and histogram")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+    def run(self) -> int:
+        """Measure, write the outputs, print the figures. Returns 0."""
+        chosen = self.choice
+
+        from rich.console import Console
+
+        from neuroflight.sim.aircraft.edit import edit_aircraft
+        from neuroflight.sim.identification.gyro_noise import (
+            aircraft_keys,
+            doubts,
+            measure_noise,
+            resting_part,
+        )
+        from neuroflight.sim.identification.gyro_noise_plot import draw_noise
+        from neuroflight.sim.identification.recording import read_recording
+        from neuroflight.sim.plotting import png
+        from neuroflight.toolchain.files import write_bytes
+
+        console = Console(stderr=True, quiet=self.json or not sys.stderr.isatty())
+        with console.status("reading the log") as status:
+            recording = read_recording(self.log, chosen)
+            status.update(f"measuring {len(recording.gyro):,} samples")
+            noise = measure_noise(recording)
+            rest = resting_part(recording) if noise.moved else None
+            if self.write and noise.moved:
+                raise NeuroflightError(
+                    f"{self.log}: the aircraft moved, its figures are not noise alone and are not written to "
+                    f"{self.write}; {_part_at_rest(rest, self) or 'record it at rest on the ground'}"
+                )
+            what = "not at rest" if noise.moved else "noise at rest"
+            picture = png(draw_noise(noise, recording, f"{self.log.name}: {what}")) if self.plot else b""
+        if self.write:
+            edit_aircraft(self.write, aircraft_keys(noise))
+        if self.plot:
+            write_bytes(self.plot, picture)
+        warnings = [*doubts(noise), *recording.notes]
+        if hint := _part_at_rest(rest, self):
+            warnings.append(hint)
+        if self.json:
+            print_json(_document(self, noise, warnings))
+        else:
+            _print(self, noise, warnings)
+        return 0
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure, write the outputs, print the figures. Returns 0."""
-    from neuroflight.cli.output import check_output
-
-    check_output(args.plot, ".png")
-    chosen = choice(args)
-
-    from rich.console import Console
-
-    from neuroflight.sim.aircraft.edit import edit_aircraft
-    from neuroflight.sim.identification.gyro_noise import aircraft_keys, doubts, measure_noise, resting_part
-    from neuroflight.sim.identification.gyro_noise_plot import draw_noise
-    from neuroflight.sim.identification.recording import read_recording
-    from neuroflight.sim.plotting import png
-    from neuroflight.toolchain.files import write_bytes
-
-    console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
-    with console.status("reading the log") as status:
-        recording = read_recording(args.log, chosen)
-        status.update(f"measuring {len(recording.gyro):,} samples")
-        noise = measure_noise(recording)
-        rest = resting_part(recording) if noise.moved else None
-        if args.write and noise.moved:
-            raise NeuroflightError(
-                f"{args.log}: the aircraft moved, its figures are not noise alone and are not written to "
-                f"{args.write}; {_part_at_rest(rest, args) or 'record it at rest on the ground'}"
-            )
-        what = "not at rest" if noise.moved else "noise at rest"
-        picture = png(draw_noise(noise, recording, f"{args.log.name}: {what}")) if args.plot else b""
-    if args.write:
-        edit_aircraft(args.write, aircraft_keys(noise))
-    if args.plot:
-        write_bytes(args.plot, picture)
-    warnings = [*doubts(noise), *recording.notes]
-    if hint := _part_at_rest(rest, args):
-        warnings.append(hint)
-    if args.json:
-        print(json.dumps(_document(args, noise, warnings), indent=2))
-    else:
-        _print(args, noise, warnings)
-    return 0
-
-
-def _part_at_rest(rest: tuple[float, float] | None, args: argparse.Namespace) -> str:
+def _part_at_rest(rest: tuple[float, float] | None, args: MeasureNoise) -> str:
     """Return how to choose the part at rest of a log that also has flight; "" if no part is at rest."""
     if rest is None:
         return ""
-    first, end = (args.start + second for second in rest)
+    first, end = ((args.start or 0.0) + second for second in rest)
     return f"it is at rest from {first:.1f} to {end:.1f} s: --from {first:.1f} --to {end:.1f}"
 
 
-def _document(args: argparse.Namespace, noise: Noise, warnings: list[str]) -> dict[str, Any]:
+def _document(args: MeasureNoise, noise: Noise, warnings: list[str]) -> dict[str, Any]:
     from neuroflight.sim.identification.gyro_noise import aircraft_keys
 
     return {
@@ -121,50 +126,36 @@ def _figures(sensor: SensorNoise, scale: float) -> dict[str, Any]:
     }
 
 
-def _print(args: argparse.Namespace, noise: Noise, warnings: list[str]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
+def _print(args: MeasureNoise, noise: Noise, warnings: list[str]) -> None:
     from neuroflight.sim.identification.gyro_noise import aircraft_keys
     from neuroflight.toolchain.contract import AXES
 
-    title = (
-        f"{args.log.name}: {noise.samples:,} samples, {noise.duration:.1f} s at {noise.rate_hz:,.1f} a second"
-    )
-    shown = Table(box=None, pad_edge=False)
-    for number, heading in enumerate(
-        ("", *(f"{letter}, {axis}" for letter, axis in zip("xyz", AXES, strict=True)))
-    ):
-        shown.add_column(heading, justify="right" if number else "left")
+    rows = [("", *(f"{letter}, {axis}" for letter, axis in zip("xyz", AXES, strict=True)))]
     sensors = [("gyro", "deg/s", noise.gyro, math.degrees(1.0))]
     if noise.accelerometer is not None:
         sensors.append(("accelerometer", "m/s²", noise.accelerometer, 1.0))
     for name, unit, sensor, scale in sensors:
-        rows = (
-            ("  sigma of a sample", scale * sensor.sigma),
-            ("  mean", scale * sensor.mean),
-            ("  white noise, per √Hz", scale * sensor.density),
-            ("  neighbours correlate", sensor.lag),
-        )
-        shown.add_row(Text(f"{name}, {unit}", style="bold"))
-        for label, values in rows:
-            shown.add_row(label, *(f"{value:.4f}" for value in values))
+        rows.append((f"{name}, {unit}", "", "", ""))
+        for label, values in (
+            ("sigma of a sample", scale * sensor.sigma),
+            ("mean", scale * sensor.mean),
+            ("white noise, per √Hz", scale * sensor.density),
+            ("neighbours correlate", sensor.lag),
+        ):
+            rows.append((f"  {label}", *(f"{value:.4f}" for value in values)))
         least = zip(scale * sensor.instability, sensor.floor, strict=True)
-        shown.add_row(
-            "  bias instability", *(f"{'' if found else '< '}{value:.4f}" for value, found in least)
-        )
-        shown.add_row("  averaged over, s", *(f"{value:.2g}" for value in sensor.instability_s))
-    console = Console()
-    console.print(Text(title))
-    console.print(shown)
+        shown = (f"{'' if found else '< '}{value:.4f}" for value, found in least)
+        rows.append(("  bias instability", *shown))
+        rows.append(("  averaged over, s", *(f"{value:.2g}" for value in sensor.instability_s)))
+    rate = f"{noise.duration:.1f} s at {noise.rate_hz:,.1f} a second"
+    print_table(f"{args.log.name}: {noise.samples:,} samples, {rate}", rows)
     for doubt in warnings:
-        console.print(Text(f"warning: {doubt}"))
+        print(f"warning: {doubt}")
     if noise.moved:
         return
-    console.print(Text(f"\n{'written to ' + str(args.write) if args.write else 'for an aircraft file'}:"))
+    print(f"\n{f'written to {args.write}' if args.write else 'for an aircraft file'}:")
     for table, keys in aircraft_keys(noise).items():
-        console.print(Text(f"  [{table}]"))
+        print(f"  [{table}]")
         for key, value in keys.items():
-            console.print(Text(f"  {key} = {list(value) if isinstance(value, tuple) else value}"))
-    console.print(Text(BIAS_NOTE))
+            print(f"  {key} = {list(value) if isinstance(value, tuple) else value}")
+    print(BIAS_NOTE)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+from neuroflight.cli.options import Json, picture
+from neuroflight.cli.report import print_json
+from neuroflight.cli.requests import Argument, Option, Request
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -18,79 +20,80 @@ if TYPE_CHECKING:
 CLIMB_MAX = 200.0  # [m/s]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the logs or tables, and the outputs."""
-    parser.description = (
-        f"{parser.description}: columns J, CT and CQ or CP, as the UIUC Propeller Data Site has them, or "
+@dataclass(frozen=True, kw_only=True)
+class Propeller(Request):
+    """A request for a propeller's coefficients."""
+
+    tables: Annotated[tuple[Path, ...], Argument("TABLE", "of one propeller, .csv, .txt or .dat")]
+    rpm: Annotated[
+        float | None, Option("N", "take the nearest of the speeds in the tables; default: all", above=0.0)
+    ] = None
+    diameter: Annotated[
+        float | None,
+        Option(
+            "M",
+            "of the propeller, for K_T and K_Q at rest; default: the aircraft's",
+            low=0.01,
+            high=5.0,
+            unit="m",
+        ),
+    ] = None
+    degree: Annotated[
+        int,
+        Option(
+            None,
+            "1 fits lines, a2 = 0: for tables that end long before the thrust does; default 2",
+            choices=(1, 2),
+        ),
+    ] = 2
+    aircraft: Annotated[
+        str | None, Option("NAME|FILE", "tell what is left of its thrust in a climb, at hover's rpm")
+    ] = None
+    climb: Annotated[
+        float, Option("M_S", "that climb [m/s]; default 5", low=0.0, high=CLIMB_MAX, unit="m/s")
+    ] = 5.0
+    write: Annotated[Path | None, Option("AIRCRAFT.toml", "put the coefficients into this aircraft file")] = (
+        None
+    )
+    plot: Annotated[Path | None, picture("draw measurements and fit")] = None
+    json: Json = False
+
+    more: ClassVar[str] = (
+        ": columns J, CT and CQ or CP, as the UIUC Propeller Data Site has them, or "
         "APC's PER3_*.dat. Fits 1 + a1 J + a2 J^2 to each over its value at J = 0, for "
         "[propulsion.advance_ratio] of an aircraft file. A table of measurements at rest (RPM, CT, CP) gives "
         "C_T and C_Q, and with a diameter K_T and K_Q. See docs/guides/own-aircraft.md."
     )
-    parser.add_argument(
-        "tables", nargs="+", type=Path, metavar="TABLE", help="of one propeller, .csv, .txt or .dat"
-    )
-    parser.add_argument(
-        "--rpm", type=float, metavar="N", help="take the nearest of the speeds in the tables; default: all"
-    )
-    parser.add_argument(
-        "--diameter",
-        type=float,
-        metavar="M",
-        help="of the propeller, for K_T and K_Q at rest; default: the aircraft's",
-    )
-    parser.add_argument(
-        "--degree",
-        type=int,
-        choices=(1, 2),
-        default=2,
-        help="1 fits lines, a2 = 0: for tables that end long before the thrust does; default 2",
-    )
-    parser.add_argument(
-        "--aircraft", metavar="NAME|FILE", help="tell what is left of its thrust in a climb, at hover's rpm"
-    )
-    parser.add_argument("--climb", type=float, default=5.0, metavar="M_S", help="that climb [m/s]; default 5")
-    parser.add_argument(
-        "--write", type=Path, metavar="AIRCRAFT.toml", help="put the coefficients into this aircraft file"
-    )
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw measurements and fit")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
+    def run(self) -> int:
+        """Fit the tables, write the outputs, print the coefficients. Returns 0."""
+        from neuroflight.sim.aircraft.edit import edit_aircraft
+        from neuroflight.sim.aircraft.model import load_aircraft
+        from neuroflight.sim.identification.propeller import fit_propeller
+        from neuroflight.sim.identification.propeller_plot import draw_coefficients
+        from neuroflight.sim.identification.propeller_tables import read_tables
+        from neuroflight.sim.plotting import png
+        from neuroflight.toolchain.files import write_bytes
 
-def run(args: argparse.Namespace) -> int:
-    """Fit the tables, write the outputs, print the coefficients. Returns 0."""
-    from neuroflight.cli.output import check_output
-    from neuroflight.sim.aircraft.edit import edit_aircraft
-    from neuroflight.sim.aircraft.model import load_aircraft
-    from neuroflight.sim.identification.propeller import fit_propeller
-    from neuroflight.sim.identification.propeller_plot import draw_coefficients
-    from neuroflight.sim.identification.propeller_tables import read_tables
-    from neuroflight.sim.plotting import png
-    from neuroflight.toolchain.files import write_bytes
-
-    if not (math.isfinite(args.climb) and 0.0 <= args.climb <= CLIMB_MAX):
-        raise NeuroflightError(f"--climb {args.climb}, expected 0 to {CLIMB_MAX:g} m/s")
-    if args.rpm is not None and not (math.isfinite(args.rpm) and args.rpm > 0.0):
-        raise NeuroflightError(f"--rpm {args.rpm}, expected a number above 0")
-    check_output(args.plot, ".png")
-    tables = read_tables(args.tables, args.rpm)
-    if not len(tables.wind.ratio):
-        from neuroflight.cli.aircraft.propeller_rest import run_rest
-
-        return run_rest(args, tables)
-    aircraft = load_aircraft(args.aircraft) if args.aircraft else None
-    fit = fit_propeller(tables.measurements, args.degree)
-    climb = None if aircraft is None else _climb(fit, aircraft, args.climb)
-    picture = png(draw_coefficients(fit, ", ".join(path.stem for path in args.tables))) if args.plot else b""
-    if args.write:
-        advance = {"thrust": fit.advance.thrust, "torque": fit.advance.torque}
-        edit_aircraft(args.write, {"propulsion.advance_ratio": advance})
-    if args.plot:
-        write_bytes(args.plot, picture)
-    if args.json:
-        print(json.dumps(_document(args, tables, fit, climb), indent=2))
-    else:
-        _print(args, tables, fit, climb)
-    return 0
+        tables = read_tables(self.tables, self.rpm)
+        if not len(tables.wind.ratio):
+            return _run_rest(self, tables)
+        aircraft = load_aircraft(self.aircraft) if self.aircraft else None
+        fit = fit_propeller(tables.measurements, self.degree)
+        climb = None if aircraft is None else _climb(fit, aircraft, self.climb)
+        picture = (
+            png(draw_coefficients(fit, ", ".join(path.stem for path in self.tables))) if self.plot else b""
+        )
+        if self.write:
+            advance = {"thrust": fit.advance.thrust, "torque": fit.advance.torque}
+            edit_aircraft(self.write, {"propulsion.advance_ratio": advance})
+        if self.plot:
+            write_bytes(self.plot, picture)
+        if self.json:
+            print_json(_document(self, tables, fit, climb))
+        else:
+            _print(self, tables, fit, climb)
+        return 0
 
 
 def _climb(fit: PropellerFit, aircraft: Aircraft, speed: float) -> dict[str, float]:
@@ -122,7 +125,7 @@ def _climb(fit: PropellerFit, aircraft: Aircraft, speed: float) -> dict[str, flo
 
 
 def _document(
-    args: argparse.Namespace, tables: Tables, fit: PropellerFit, climb: dict[str, float] | None
+    args: Propeller, tables: Tables, fit: PropellerFit, climb: dict[str, float] | None
 ) -> dict[str, Any]:
     from neuroflight.sim.identification.propeller import doubts
 
@@ -151,9 +154,7 @@ def _curve(curve: Curve) -> dict[str, Any]:
     }
 
 
-def _print(
-    args: argparse.Namespace, tables: Tables, fit: PropellerFit, climb: dict[str, float] | None
-) -> None:
+def _print(args: Propeller, tables: Tables, fit: PropellerFit, climb: dict[str, float] | None) -> None:
     from neuroflight.sim.identification.propeller import doubts
 
     last, end = float(fit.used.ratio.max()), fit.advance.ratio_max
@@ -177,6 +178,114 @@ def _print(
             f"{climb['thrust_percent']:.1f} % of the thrust and {climb['torque_percent']:.1f} % of the "
             f"torque are left"
         )
-    print(f"\n{'written to ' + str(args.write) if args.write else 'for an aircraft file'}:")
+    _print_place(args)
     print("  [propulsion.advance_ratio]")
     print(f"  thrust = {list(fit.advance.thrust)}\n  torque = {list(fit.advance.torque)}")
+
+
+def _print_place(args: Propeller) -> None:
+    """Print the heading above keys of an aircraft file."""
+    print(f"\n{f'written to {args.write}' if args.write else 'for an aircraft file'}:")
+
+
+# --- At rest: C_T and C_Q, K_T and K_Q -----------------------------------------------------------------
+@dataclass(frozen=True)
+class Coefficients:
+    """Coefficients of a propeller at rest; None where they need a diameter and none is known."""
+
+    c_t: float
+    c_q: float
+    diameter: float | None  # [m]
+    k_t: float | None  # [N s^2/rad^2]
+    k_q: float | None  # [m]
+
+
+def _run_rest(args: Propeller, tables: Tables) -> int:
+    """Average the table, write and print the coefficients. Returns 0."""
+    from neuroflight.sim.aircraft.model import thrust_coefficient, torque_ratio
+    from neuroflight.sim.identification.propeller import at_rest
+    from neuroflight.sim.physics.air import AIR_DENSITY
+
+    args.refuse("plot", because="a table of measurements at rest has no curve over J; leave it out")
+    diameter = _diameter(args)
+    c_t, c_q = at_rest(tables.rest)
+    k_t = k_q = None
+    if diameter is not None:
+        k_t, k_q = thrust_coefficient(c_t, diameter, AIR_DENSITY), torque_ratio(c_t, c_q, diameter)
+    found = Coefficients(c_t, c_q, diameter, k_t, k_q)
+    if args.write:
+        _write(args.write, found)
+    if args.json:
+        document = {
+            "tables": [str(path) for path in args.tables],
+            "rows": len(tables.rest.rpm),
+            "rpm": [float(tables.rest.rpm.min()), float(tables.rest.rpm.max())],
+            "c_t": c_t,
+            "c_q": c_q,
+            "propeller_diameter_m": diameter,
+            "air_density_kg_m3": AIR_DENSITY,
+            "thrust_coefficient": k_t,
+            "torque_ratio_m": k_q,
+            "advance_ratio": None,
+            "notes": list(tables.notes),
+            "written": str(args.write) if args.write else None,
+        }
+        print_json(document)
+    else:
+        _print_rest(args, tables, found)
+    return 0
+
+
+def _diameter(args: Propeller) -> float | None:
+    """Return the propeller's diameter [m]: of --diameter, else of the aircraft named or written to."""
+    from neuroflight.sim.aircraft.model import load_aircraft
+
+    if args.diameter is not None:
+        return args.diameter
+    name = args.aircraft or (None if args.write is None else str(args.write))
+    return load_aircraft(name).propulsion.propeller_diameter if name else None
+
+
+def _write(path: Path, found: Coefficients) -> None:
+    """Write the coefficients into the aircraft file, in the form that it already uses."""
+    import tomllib
+
+    from neuroflight.sim.aircraft.edit import edit_aircraft
+
+    kept = tomllib.loads(path.read_text(encoding="utf-8")).get("propulsion", {})
+    if "c_t" in kept:
+        edit_aircraft(path, {"propulsion": {"c_t": _rounded(found.c_t), "c_q": _rounded(found.c_q)}})
+        return
+    if found.k_t is None or found.k_q is None:
+        raise NeuroflightError(f"{path} has no propeller_diameter_m, which K_T and K_Q need; give --diameter")
+    changes = {"thrust_coefficient": _rounded(found.k_t), "torque_ratio_m": _rounded(found.k_q)}
+    edit_aircraft(path, {"propulsion": changes})
+
+
+def _print_rest(args: Propeller, tables: Tables, found: Coefficients) -> None:
+    from neuroflight.sim.physics.air import AIR_DENSITY
+
+    rest = tables.rest
+    for note in tables.notes:
+        print(note)
+    print(f"{len(rest.rpm)} measurements at rest, {rest.rpm.min():g} to {rest.rpm.max():g} rpm")
+    for name, mean, values in (("C_T", found.c_t, rest.thrust), ("C_Q", found.c_q, rest.torque)):
+        print(f"{name}: {mean:.4g}, from {values.min():.4g} to {values.max():.4g}")
+    if found.k_t is not None and found.k_q is not None and found.diameter is not None:
+        print(
+            f"K_T = {found.k_t:.4g} N s²/rad², K_Q = {found.k_q:.4g} m, with a diameter of "
+            f"{1000 * found.diameter:.1f} mm and air of {AIR_DENSITY:g} kg/m³"
+        )
+    print("how they fall in a climb it does not tell: that takes a table with a column J")
+    _print_place(args)
+    print("  [propulsion]")
+    if found.k_t is not None and found.k_q is not None:
+        print(f"  thrust_coefficient = {_rounded(found.k_t)}\n  torque_ratio_m = {_rounded(found.k_q)}")
+        return
+    print(f"  c_t = {_rounded(found.c_t)}\n  c_q = {_rounded(found.c_q)}")
+    print(f"  air_density_kg_m3 = {AIR_DENSITY:g}\n  propeller_diameter_m = (measure it)")
+
+
+def _rounded(value: float) -> float:
+    """Round to four significant digits."""
+    return float(f"{value:.{3 - math.floor(math.log10(abs(value)))}f}")

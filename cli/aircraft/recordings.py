@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
-import math
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
-from neuroflight.cli.log.reading import add_part_arguments, part
-from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.cli.options import OfPart
+from neuroflight.cli.requests import Option
 
 if TYPE_CHECKING:
     from neuroflight.sim.identification.recording import Choice
@@ -19,30 +18,27 @@ FORMS = (
 )
 
 
-def add_choice(parser: argparse.ArgumentParser) -> None:
-    """Add the options --log, --from, --to and --gyro-unit."""
-    parser.add_argument(
-        "--log",
-        dest="number",
-        type=int,
-        metavar="N",
-        help="which log of a blackbox file, from 1; default: the last that has frames",
-    )
-    add_part_arguments(parser, "the log's first sample")
-    parser.add_argument(
-        "--gyro-unit",
-        type=float,
-        metavar="DEG_S",
-        help="one count of gyroADC in a table that came without the log's header: its gyro_scale, a tenth of "
-        "it with blackbox_high_resolution",
-    )
+@dataclass(frozen=True, kw_only=True)
+class OfGyroLog(OfPart):
+    """A request about the gyro's readings in a log."""
 
+    number: Annotated[
+        int | None,
+        Option("N", "which log of a blackbox file, from 1; default: the last that has frames", name="--log"),
+    ] = None
+    gyro_unit: Annotated[
+        float | None,
+        Option(
+            "DEG_S",
+            "one count of gyroADC in a table that came without the log's header: its gyro_scale, a tenth of "
+            "it with blackbox_high_resolution",
+            above=0.0,
+        ),
+    ] = None
 
-def choice(args: argparse.Namespace) -> Choice:
-    """Return the choice that the options make. Raises NeuroflightError for a unit that is not above 0."""
-    from neuroflight.sim.identification.recording import Choice
+    @property
+    def choice(self) -> Choice:
+        """The log, its part and the unit of its gyro. Raises NeuroflightError for an empty part."""
+        from neuroflight.sim.identification.recording import Choice
 
-    unit = args.gyro_unit
-    if unit is not None and not (math.isfinite(unit) and unit > 0.0):
-        raise NeuroflightError(f"--gyro-unit {unit}, expected a number above 0")
-    return Choice(args.number, part(args), unit)
+        return Choice(self.number, self.part, self.gyro_unit)

@@ -17,8 +17,8 @@ from neuroflight.cli.board.image_aircraft import image_aircraft
 from neuroflight.cli.board.state import OnPort
 from neuroflight.cli.options import Json
 from neuroflight.cli.progress import step_bars
+from neuroflight.cli.report import print_facts, print_json
 from neuroflight.cli.requests import Argument, Option
-from neuroflight.cli.tables import print_facts, print_json
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from neuroflight.cli.board.state import OnPort, connect
 from neuroflight.cli.options import Json
-from neuroflight.cli.tables import print_facts, print_json, print_table
+from neuroflight.cli.report import print_facts, print_json, print_table
 from neuroflight.toolchain.errors import LinkError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def waiting() -> Wait:
 def print_logs(logs: Sequence[LogEntry]) -> None:
     """Print a line for each log."""
     rows = [(str(log.number), log.name, f"{log.bytes / 1024:,.0f}") for log in logs]
-    print_table(HEADS, rows, frozenset({"log", "KB"}))
+    print_table("", [HEADS, *rows], numbers={"log", "KB"})
 
 
 def print_device(info: LogInfo) -> None:

@@ -10,7 +10,9 @@ from typing import Annotated
 from neuroflight.cli.board.interrupts import one_interrupt
 from neuroflight.cli.board.logs import look, waiting
 from neuroflight.cli.board.state import OnPort, connect
+from neuroflight.cli.options import Json
 from neuroflight.cli.questions import confirm
+from neuroflight.cli.report import Account
 from neuroflight.cli.requests import Option
 from neuroflight.toolchain.errors import NeuroflightError
 
@@ -24,6 +26,7 @@ class Erase(OnPort):
         Path()
     )
     unfetched: Annotated[bool, Option(None, "erase logs as well that DIR does not hold")] = False
+    json: Json = False
 
     def run(self) -> int:
         """Erase. Returns 0; raises NeuroflightError of one line where nothing was erased."""
@@ -33,8 +36,7 @@ class Erase(OnPort):
         with one_interrupt(), connect(self.port) as client:
             _, logs = look(client)
             if not logs:
-                print(f"{client.name}: no log is kept there")
-                return 0
+                return Account(self.json).end({"erased": []}, f"{client.name}: no log is kept there")
             kept = [log for log in logs if log.bytes]
             if not self.unfetched:
                 lost = [log for log in kept if find_copy(client, log, self.copies, time.monotonic) is None]
@@ -52,5 +54,5 @@ class Erase(OnPort):
             raise NeuroflightError(
                 f"{client.name}: {len(left)} logs are still there after erasing; erase again"
             )
-        print(f"{len(logs)} logs erased; {info.empty} empty files")
-        return 0
+        document = {"erased": [log.name for log in logs], "empty": info.empty}
+        return Account(self.json).end(document, f"{len(logs)} logs erased; {info.empty} empty files")

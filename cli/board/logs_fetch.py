@@ -5,14 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.board.interrupts import one_interrupt
 from neuroflight.cli.board.logs import look
 from neuroflight.cli.board.state import OnPort, connect
+from neuroflight.cli.options import Json
 from neuroflight.cli.output import check_folder
+from neuroflight.cli.report import Account
 from neuroflight.cli.requests import Argument, Option
 from neuroflight.toolchain.errors import NeuroflightError
 
@@ -32,6 +34,7 @@ class Fetch(OnPort):
     ] = ()
     all: Annotated[bool, Option(None, "every log that DIR does not hold already")] = False
     out: Annotated[Path, Option("DIR", "folder for the files (default: this one)")] = Path()
+    json: Json = False
 
     def run(self) -> int:
         """Fetch. Returns 0; raises NeuroflightError of one line for what cannot be done."""
@@ -40,26 +43,29 @@ class Fetch(OnPort):
         if self.all and self.numbers:
             raise NeuroflightError("fetch got --all and numbers, expected one of them")
         check_folder(self.out, "--out")
+        told, files = Account(self.json), []
         with one_interrupt(), connect(self.port) as client:
             _, logs = look(client)
             if not logs:
                 raise NeuroflightError(f"{client.name}: no log is kept there; nothing was written")
             for log in _chosen(self, logs):
                 if log.bytes == 0:
-                    print(f"log {log.number}: {log.name} is empty: nothing was written")
+                    told.say(f"log {log.number}: {log.name} is empty: nothing was written")
                     continue
                 began = time.monotonic()
                 with _bar(log) as progress:
                     fetched = fetch(client, log, self.out, time.monotonic, progress)
-                if fetched.there:
-                    print(f"log {log.number}: {fetched.path} holds it already")
-                    continue
                 took = max(time.monotonic() - began, 1e-3)
+                facts = {"log": log.number, "bytes": log.bytes, "seconds": took, **asdict(fetched)}
+                files.append(facts | {"path": str(fetched.path)})
+                if fetched.there:
+                    told.say(f"log {log.number}: {fetched.path} holds it already")
+                    continue
                 rate = (log.bytes - fetched.resumed) / took / 1000
                 went_on = f", went on from byte {fetched.resumed:,}" if fetched.resumed else ""
-                told = f"{log.bytes:,} bytes in {took:.1f} s, {rate:.1f} kB/s{went_on}"
-                print(f"log {log.number}: {fetched.path}, {told}")
-        return 0
+                speed = f"{log.bytes:,} bytes in {took:.1f} s, {rate:.1f} kB/s{went_on}"
+                told.say(f"log {log.number}: {fetched.path}, {speed}")
+        return told.end(files)
 
 
 def _chosen(args: Fetch, logs: Sequence[LogEntry]) -> list[LogEntry]:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import select
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.board.interrupts import one_interrupt
-from neuroflight.cli.options import add_port
-from neuroflight.cli.tables import console, print_json
+from neuroflight.cli.board.state import OnPort
+from neuroflight.cli.report import console, print_json
+from neuroflight.cli.requests import Either, Option
 from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 if TYPE_CHECKING:
@@ -22,45 +22,46 @@ if TYPE_CHECKING:
 
 RATE_DEFAULT, RATE_MAX = 5.0, 20.0  # Hz; a look is a dozen requests, 60 ms at 115200 baud
 ENDING_KEYS = b"qQ\x04"  # Ctrl-D as well
+ONCE = Either()
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the port, and the form of the display."""
-    add_port(parser)
-    parser.add_argument(
-        "--rate",
-        type=float,
-        default=RATE_DEFAULT,
-        metavar="HZ",
-        help=f"looks a second (default {RATE_DEFAULT:g}, at most {RATE_MAX:g})",
-    )
-    once = parser.add_mutually_exclusive_group()
-    once.add_argument("--once", action="store_true", help="look once and print it as text")
-    once.add_argument("--json", action="store_true", help="look once and print it as JSON")
+@dataclass(frozen=True, kw_only=True)
+class Monitor(OnPort):
+    """A request to watch a running firmware."""
 
+    rate: Annotated[
+        float,
+        Option(
+            "HZ",
+            f"looks a second (default {RATE_DEFAULT:g}, at most {RATE_MAX:g})",
+            low=0.1,
+            high=RATE_MAX,
+            unit="Hz",
+        ),
+    ] = RATE_DEFAULT
+    once: Annotated[bool, Option(None, "look once and print it as text", either=ONCE)] = False
+    json: Annotated[bool, Option(None, "look once and print it as JSON", either=ONCE)] = False
 
-def run(args: argparse.Namespace) -> int:
-    """Show it until q or Ctrl-C. Returns 0; raises NeuroflightError where the first look finds nothing."""
-    from neuroflight.flash.link.transport import open_transport
-    from neuroflight.flash.monitoring.watch import Watch
+    def run(self) -> int:
+        """Show it until q or Ctrl-C. Raises NeuroflightError where the first look finds nothing."""
+        from neuroflight.flash.link.transport import open_transport
+        from neuroflight.flash.monitoring.watch import Watch
 
-    if not 0.1 <= args.rate <= RATE_MAX:
-        raise NeuroflightError(f"--rate got {args.rate:g}, expected 0.1 to {RATE_MAX:g} Hz")
-    if not (args.once or args.json or sys.stdout.isatty()):
-        raise NeuroflightError("stdout is no terminal; give --once or --json")
-    with Watch(lambda: open_transport(args.port)) as watch:
-        first = watch.look()
-        if first.problem:  # a port that never worked is a mistake, one that is lost later is waited for
-            raise LinkError(first.problem)
-        if args.json:
-            print_json(document(first))
-        elif args.once:
-            from neuroflight.cli.board.monitor_view import lines
+        if not (self.once or self.json or sys.stdout.isatty()):
+            raise NeuroflightError("stdout is no terminal; give --once or --json")
+        with Watch(lambda: open_transport(self.port)) as watch:
+            first = watch.look()
+            if first.problem:  # a port that never worked is a mistake, one that is lost later is waited for
+                raise LinkError(first.problem)
+            if self.json:
+                print_json(document(first))
+            elif self.once:
+                from neuroflight.cli.board.monitor_view import lines
 
-            console().print(lines(first, args.port))
-        else:
-            _show(watch, first, args.port, args.rate)
-    return 0
+                console().print(lines(first, self.port))
+            else:
+                _show(watch, first, self.port, self.rate)
+        return 0
 
 
 def document(sight: Sight) -> dict[str, object]:

@@ -12,6 +12,8 @@ from neuroflight.cli.board.interrupts import one_interrupt
 from neuroflight.cli.board.motor_places import motor_places
 from neuroflight.cli.board.props_off import confirm_props_off
 from neuroflight.cli.board.state import OnPort, connect
+from neuroflight.cli.options import Json
+from neuroflight.cli.report import Account
 from neuroflight.cli.requests import Argument, Option
 from neuroflight.toolchain.contract import MOTOR_COUNT_MAX, MOTOR_TEST_MAX, MOTOR_TEST_TIMEOUT_MS
 from neuroflight.toolchain.errors import LinkError
@@ -47,6 +49,7 @@ Motor = Annotated[str, Argument("MOTOR", f"1 to {MOTOR_COUNT_MAX}, or all")]
 class OnBench(OnPort):
     """A request about motors on a bench."""
 
+    json: Json = False
     interrupted: ClassVar[str] = (
         f"the motors were stopped (without an answer they stop within {MOTOR_TEST_TIMEOUT_MS} ms)"
     )
@@ -54,7 +57,7 @@ class OnBench(OnPort):
     def run(self) -> int:
         """Carry it out. Returns 0, 1 where a motor did not do as it should, 130 after an interrupt; raises
         NeuroflightError for what cannot be done. The motors stand in each case."""
-        return self.carry_out(Person(_typed))
+        return self.carry_out(Person(self._typed))
 
     def carry_out(self, person: Person) -> int:
         """Do the same as `run`, with the answers and the time of `person`."""
@@ -68,6 +71,10 @@ class OnBench(OnPort):
     def act(self, person: Person) -> int:
         """Do the work of the request; an interrupt raises KeyboardInterrupt."""
         raise NotImplementedError
+
+    def _typed(self, question: str) -> str:
+        print(question, end="", file=sys.stderr if self.json else sys.stdout, flush=True)
+        return sys.stdin.readline()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +98,6 @@ class Turning(OnBench):
     props_off: Annotated[bool, Option(None, "they are: do not ask")] = False
 
 
-def _typed(question: str) -> str:
-    print(question, end="", flush=True)
-    return sys.stdin.readline()
-
-
 # --- test ------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class Test(Turning):
@@ -108,18 +110,23 @@ class Test(Turning):
         """Turn each motor and compare its answer with the aircraft file."""
         with connect(self.port) as client:
             bench, places = _prepare(client, self, "test turns each motor")
-            wrong: list[str] = []
+            told, wrong, turned = Account(self.json), [], []
             for motor, place in enumerate(places):
-                print(f"motor {motor + 1}: {place}", flush=True)
+                told.say(f"motor {motor + 1}: {place}")
                 if not self.no_questions and _heard(person, "  Enter turns it, s skips it: ") == "s":
                     continue
                 _spin(client, [motor], bench, self, person)
+                turned.append(motor + 1)
                 if not self.no_questions:
                     wrong += _judged(person, motor, place)
         for line in wrong:
-            print(line)
-        if not wrong and not self.no_questions:
-            print("every motor that turned is in its place and turns the right way")
+            told.say(line)
+        good = (
+            ""
+            if wrong or self.no_questions
+            else "every motor that turned is in its place and turns the right way"
+        )
+        told.end({"turned": turned, "wrong": wrong}, good)
         return 1 if wrong else 0
 
 
@@ -151,8 +158,9 @@ class Spin(Turning):
             told = f"spin turns {what} at {self.fraction:g} for {self.seconds:g} s"
             bench, _ = _prepare(client, self, told, self.motor)
             _spin(client, _motors(self.motor, bench.motor_count), bench, self, person)
-        print(f"{what} turned at {self.fraction:g} for {self.seconds:g} s and stopped")
-        return 0
+        document = {"motor": self.motor, "fraction": self.fraction, "seconds": self.seconds}
+        told = f"{what} turned at {self.fraction:g} for {self.seconds:g} s and stopped"
+        return Account(self.json).end(document, told)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,8 +177,7 @@ class Stop(OnBench):
 
         with Client(open_transport(self.port)) as client:  # at once, without checks
             stop_motors(client, person.clock, person.sleep)
-        print("all motors stand, no motor test is open")
-        return 0
+        return Account(self.json).end({"standing": True}, "all motors stand, no motor test is open")
 
 
 # --- direction -------------------------------------------------------------------------------------
@@ -199,14 +206,19 @@ class Direction(OnBench):
                 clock=person.clock,
                 sleep=person.sleep,
             )
+        told = Account(self.json)
         kept = "forgotten when the ESC loses power, unless told with --save"
         if self.save:
             kept = "stored in the ESC"
         for motor in motors:
-            print(f"motor {motor + 1}: {self.direction}, {kept}")
+            told.say(f"motor {motor + 1}: {self.direction}, {kept}")
+        document = {
+            "motors": [motor + 1 for motor in motors],
+            "direction": self.direction,
+            "stored": self.save,
+        }
         seen = f"`neuroflight board motors spin {self.motor}`"
-        print(f"no ESC answers: see by {seen} whether it was understood")
-        return 0
+        return told.end(document, f"no ESC answers: see by {seen} whether it was understood")
 
 
 # --- order -----------------------------------------------------------------------------------------
@@ -225,23 +237,25 @@ class Order(Turning):
 
         with connect(self.port) as client:
             bench, places = _prepare(client, self, "order turns each motor")
+            told = Account(self.json)
             for motor, place in enumerate(places, 1):
-                print(f"motor {motor}: {place.where}")
+                told.say(f"motor {motor}: {place.where}")
             turned = [_turned(client, motor, bench, self, person) for motor in range(bench.motor_count)]
             found = outputs_of(bench.outputs, turned)
             for motor, (before, after) in enumerate(zip(bench.outputs, found, strict=True), 1):
                 note = "" if before == after else f", was {before}"
-                print(f"motor {motor}, {places[motor - 1].where}: output {after}{note}")
+                told.say(f"motor {motor}, {places[motor - 1].where}: output {after}{note}")
             changes = order_changes(bench.outputs, found)
+            document = {"before": list(bench.outputs), "outputs": list(found), "stored": bool(changes)}
             if not changes:
-                print("the order is right already; nothing is changed")
-                return 0
+                return told.end(document, "the order is right already; nothing is changed")
             if not self.yes and not _yes(person, "store that order? yes or no: "):
                 raise LinkError("nothing is changed; answer yes or give --yes to store the order")
             await_standing(client, person.clock, person.sleep)  # flash is not written beside a motor test
             Settings(client).change(changes, save=True)
-        print("the order is stored; it holds from the next start on: `neuroflight board reboot`")
-        return 0
+        return told.end(
+            document, "the order is stored; it holds from the next start on: `neuroflight board reboot`"
+        )
 
 
 def _turned(client: Client, motor: int, bench: Bench, args: Turning, person: Person) -> int:
@@ -256,7 +270,8 @@ def _turned(client: Client, motor: int, bench: Bench, args: Turning, person: Per
         if answer.isdecimal() and 1 <= int(answer) <= bench.motor_count:
             return int(answer) - 1
         if answer:
-            print(f"  got {answer!r}, expected the number of a motor as listed above")
+            where = sys.stderr if args.json else sys.stdout
+            print(f"  got {answer!r}, expected the number of a motor as listed above", file=where)
 
 
 # --- Shared ----------------------------------------------------------------------------------------

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from neuroflight.cli.board.checked import Unchecked
 from neuroflight.cli.board.state import OnPort, connect
 from neuroflight.cli.options import Json
+from neuroflight.cli.progress import progress_bars
+from neuroflight.cli.report import print_facts, print_json, print_table
 from neuroflight.cli.requests import Argument, Option
-from neuroflight.cli.tables import print_facts, print_json, print_table
 from neuroflight.toolchain.errors import LinkError, PolicyError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from neuroflight.flash.link.client import Client
     from neuroflight.flash.policy.candidate import Candidate
     from neuroflight.flash.policy.slots import Policies, Slot
-    from neuroflight.flash.policy.swap import Board, Progress
+    from neuroflight.flash.policy.swap import Board
 
 NOT_WRITTEN = "nothing was written"
 LOOK = "`neuroflight board policy list` tells"
@@ -81,7 +82,7 @@ class List(OnPort):
             return 0
         heads = ("place", "flown", "number", "aircraft", "sha256", "network", "state")
         rows = [_row(place, policies, networks) for place in policies.slots]
-        print_table(heads, rows, frozenset({"number"}))
+        print_table("", [heads, *rows], numbers={"number"})
         return 0
 
 
@@ -239,8 +240,8 @@ def _carry_out(args: Swap, client: Client, candidate: Candidate, policies: Polic
     place = held
     if place is None:
         kept = f"the board goes on with the policy that it flew, unless all was written; {LOOK}"
-        with _stopped(kept), _bar(args) as progress:
-            client, place = swaps.write(client, candidate, board, progress)
+        with _stopped(kept), progress_bars(args.json) as add:
+            client, place = swaps.write(client, candidate, board, add("policy"))
     document["written"], document["sequence"] = place.name, place.sequence
     if args.no_reboot:
         client.close()
@@ -313,18 +314,6 @@ def _stopped(consequence: str) -> Iterator[None]:
     except KeyboardInterrupt:
         print(f"neuroflight: stopped by Ctrl-C: {consequence}", file=sys.stderr)
         raise SystemExit(130) from None
-
-
-@contextmanager
-def _bar(args: Swap) -> Iterator[Progress]:
-    """Show a progress bar on a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress as Bar
-
-    console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
-    with Bar(console=console, transient=True) as bar:
-        task = bar.add_task("policy", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _told(args: PolicyChange, document: dict[str, Any], text: str) -> int:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.board.interrupts import one_interrupt
 from neuroflight.cli.board.props_off import confirm_props_off
-from neuroflight.cli.board.state import connect
-from neuroflight.cli.options import add_port
+from neuroflight.cli.board.state import OnPort, connect
+from neuroflight.cli.options import Json
+from neuroflight.cli.report import Account
+from neuroflight.cli.requests import Either, Option
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -24,90 +26,93 @@ if TYPE_CHECKING:
 
 RATE_DEFAULT, RATE_MIN, RATE_MAX = 50, 20, 150  # Hz; below, the failsafe would hold between two frames
 LEAD_S, ARMED_S = 0.5, 0.5  # of a scenario: at rest, then armed with the throttle low
+SOURCE = Either(required=True)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the sources and the interlocks."""
-    add_port(parser)
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument(
-        "--script",
-        type=Path,
-        metavar="FILE",
-        help="times and channels, .csv or .toml; see docs/guides/motors-and-channels.md",
-    )
-    source.add_argument(
-        "--scenario", metavar="NAME|FILE", help="as of `neuroflight fly`; arms, so it needs --allow-arm"
-    )
-    source.add_argument(
-        "--gamepad", type=int, nargs="?", const=0, metavar="N", help="the first one, or that number from 0 on"
-    )
-    parser.add_argument("--allow-arm", action="store_true", help="the arm switch may be on")
-    parser.add_argument("--props-off", action="store_true", help="with --allow-arm: they are, do not ask")
-    parser.add_argument(
-        "--rate",
-        type=int,
-        default=RATE_DEFAULT,
-        metavar="HZ",
-        help=f"frames a second (default {RATE_DEFAULT})",
-    )
-    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of a scenario that is drawn")
-    parser.add_argument(
-        "--axis",
-        nargs="+",
-        metavar="CHANNEL=N",
-        help="of the gamepad, - before an inverted one; default: roll=3 pitch=-4 throttle=-1 yaw=0",
-    )
-    parser.add_argument(
-        "--button", nargs="+", metavar="CHANNEL=N", help="high while it is held; default: aux1=4 aux2=5"
-    )
-    parser.add_argument(
-        "--whole-throttle",
-        action="store_true",
-        help="the throttle stick stays where it is put: its whole way counts, not the half above its middle",
-    )
+@dataclass(frozen=True, kw_only=True)
+class Channels(OnPort):
+    """A request to send channels from a source, with its interlocks."""
 
+    script: Annotated[
+        Path | None,
+        Option(
+            "FILE",
+            "times and channels, .csv or .toml; see docs/guides/motors-and-channels.md",
+            either=SOURCE,
+        ),
+    ] = None
+    scenario: Annotated[
+        str | None,
+        Option("NAME|FILE", "as of `neuroflight fly`; arms, so it needs --allow-arm", either=SOURCE),
+    ] = None
+    gamepad: Annotated[
+        int | None,
+        Option("N", "the first one, or that number from 0 on", number="?", bare=0, either=SOURCE),
+    ] = None
+    allow_arm: Annotated[bool, Option(None, "the arm switch may be on")] = False
+    props_off: Annotated[bool, Option(None, "with --allow-arm: they are, do not ask")] = False
+    rate: Annotated[
+        int,
+        Option("HZ", f"frames a second (default {RATE_DEFAULT})", low=RATE_MIN, high=RATE_MAX, unit="Hz"),
+    ] = RATE_DEFAULT
+    seed: Annotated[int, Option("S", "of a scenario that is drawn")] = 1
+    axis: Annotated[
+        tuple[str, ...],
+        Option(
+            "CHANNEL=N",
+            "of the gamepad, - before an inverted one; default: roll=3 pitch=-4 throttle=-1 yaw=0",
+        ),
+    ] = ()
+    button: Annotated[
+        tuple[str, ...], Option("CHANNEL=N", "high while it is held; default: aux1=4 aux2=5")
+    ] = ()
+    whole_throttle: Annotated[
+        bool,
+        Option(
+            None,
+            "the throttle stick stays where it is put: its whole way counts, not the half above its middle",
+        ),
+    ] = False
+    json: Json = False
 
-def run(args: argparse.Namespace) -> int:
-    """Send until the source ends, or Ctrl-C. Returns 0 when the board said that it is disarmed, else 1;
-    raises NeuroflightError."""
-    return carry_out(args, time.monotonic, time.sleep)
+    def run(self) -> int:
+        """Send until the source ends, or Ctrl-C. Returns 0 when the board said that it is disarmed, else 1;
+        raises NeuroflightError."""
+        return self.carry_out(time.monotonic, time.sleep)
 
+    def carry_out(self, clock: Callable[[], float], sleep: Callable[[float], None]) -> int:
+        """Do the same as `run`, with the time of `clock` [s] and `sleep`."""
+        from neuroflight.flash.channels.sender import Sender
 
-def carry_out(args: argparse.Namespace, clock: Callable[[], float], sleep: Callable[[float], None]) -> int:
-    """Do the same as `run`, with the time of `clock` [s] and `sleep`."""
-    from neuroflight.flash.channels.sender import Sender
-
-    if not RATE_MIN <= args.rate <= RATE_MAX:
-        raise NeuroflightError(f"--rate got {args.rate}, expected {RATE_MIN} to {RATE_MAX} Hz")
-    with ExitStack() as ends:
-        make = _source(args, ends)
-        client = ends.enter_context(connect(args.port))
-        layout = _layout(client)
-        source = make(layout)
-        if args.allow_arm:
-            confirm_props_off(
-                args.props_off, "rc may arm the board, and its motors turn as the throttle says"
+        with ExitStack() as ends:
+            make = _source(self, ends)
+            client = ends.enter_context(connect(self.port))
+            layout = _layout(client)
+            source = make(layout)
+            if self.allow_arm:
+                confirm_props_off(
+                    self.props_off, "rc may arm the board, and its motors turn as the throttle says"
+                )
+            ends.enter_context(one_interrupt())
+            sender = Sender(
+                client,
+                layout,
+                may_arm=self.allow_arm,
+                rate_hz=self.rate,
+                tell=_warn,
+                clock=clock,
+                sleep=sleep,
             )
-        ends.enter_context(one_interrupt())
-        sender = Sender(
-            client,
-            layout,
-            may_arm=args.allow_arm,
-            rate_hz=args.rate,
-            tell=_warn,
-            clock=clock,
-            sleep=sleep,
-        )
-        try:
-            with sender:
-                _fly(client, sender, source)
-        except KeyboardInterrupt:
-            pass  # Ctrl-C is the usual way to end it
-        finally:
-            if sender.count.taken:
-                print(_summary(sender), flush=True)
-        return 0 if sender.disarmed else 1
+            try:
+                with sender:
+                    _fly(client, sender, source)
+            except KeyboardInterrupt:
+                pass  # Ctrl-C is the usual way to end it
+            finally:
+                if sender.count.taken:
+                    counts = asdict(sender.count) | {"disarmed": sender.disarmed}
+                    Account(self.json).end(counts, _summary(sender))
+            return 0 if sender.disarmed else 1
 
 
 def _fly(client: Client, sender: Sender, source: Source) -> None:
@@ -136,20 +141,21 @@ def _layout(client: Client) -> Layout:
     return read_layout(Settings(client).get)
 
 
-def _source(args: argparse.Namespace, ends: ExitStack) -> Callable[[Layout], Source]:
+def _source(args: Channels, ends: ExitStack) -> Callable[[Layout], Source]:
     """Return a function that makes the source from the board's layout of channels; errors of the source
     itself are raised before the board is asked."""
     if args.script is not None:
-        return _script(args)
+        return _script(args, args.script)
     if args.scenario is not None:
-        return _scenario(args)
-    return _gamepad(args, ends)
+        return _scenario(args, args.scenario)
+    assert args.gamepad is not None
+    return _gamepad(args, args.gamepad, ends)
 
 
-def _script(args: argparse.Namespace) -> Callable[[Layout], Source]:
+def _script(args: Channels, path: Path) -> Callable[[Layout], Source]:
     from neuroflight.flash.channels.script import check_script, read_script
 
-    script = read_script(args.script)
+    script = read_script(path)
 
     def make(layout: Layout) -> Source:
         check_script(script, layout, may_arm=args.allow_arm)
@@ -158,19 +164,19 @@ def _script(args: argparse.Namespace) -> Callable[[Layout], Source]:
     return make
 
 
-def _scenario(args: argparse.Namespace) -> Callable[[Layout], Source]:
+def _scenario(args: Channels, name: str) -> Callable[[Layout], Source]:
     from neuroflight.flash.channels.timeline import Timeline
     from neuroflight.sim.flight.scenario import load_scenario
 
     if not args.allow_arm:
         raise NeuroflightError(
-            f"scenario {args.scenario}: it arms, expected --allow-arm; give it if the motors may turn; "
+            f"scenario {name}: it arms, expected --allow-arm; give it if the motors may turn; "
             "nothing was sent"
         )
-    scenario = load_scenario(args.scenario, args.seed)
+    scenario = load_scenario(name, args.seed)
     if scenario.by_eye:
         raise NeuroflightError(
-            f"scenario {args.scenario}: its pilot flies by the twin's height, which nobody sees here; "
+            f"scenario {name}: its pilot flies by the twin's height, which nobody sees here; "
             "expected sticks that are known before; nothing was sent"
         )
     widths, heard = scenario.timeline(args.rate)
@@ -184,7 +190,7 @@ def _scenario(args: argparse.Namespace) -> Callable[[Layout], Source]:
             armed[channel] = armed_at[channel]
         if not layout.arms(tuple(armed)):
             raise NeuroflightError(
-                f"scenario {args.scenario}: its arm switch does not arm this board, expected the range of "
+                f"scenario {name}: its arm switch does not arm this board, expected the range of "
                 "mode1 as set by default; write a --script for its modes; nothing was sent"
             )
         return Timeline(rest, LEAD_S, tuple(armed), ARMED_S, args.rate, rows)
@@ -192,7 +198,7 @@ def _scenario(args: argparse.Namespace) -> Callable[[Layout], Source]:
     return make
 
 
-def _gamepad(args: argparse.Namespace, ends: ExitStack) -> Callable[[Layout], Source]:
+def _gamepad(args: Channels, number: int, ends: ExitStack) -> Callable[[Layout], Source]:
     from neuroflight.flash.channels.gamepad import DEFAULT_AXES, DEFAULT_BUTTONS, Gamepad, parse_mapping
 
     mapping = parse_mapping(
@@ -200,10 +206,10 @@ def _gamepad(args: argparse.Namespace, ends: ExitStack) -> Callable[[Layout], So
         args.button or DEFAULT_BUTTONS,
         throttle_from_centre=not args.whole_throttle,
     )
-    gamepad = ends.enter_context(Gamepad(args.gamepad, mapping))
+    gamepad = ends.enter_context(Gamepad(number, mapping))
 
     def make(layout: Layout) -> Source:
-        print(f"gamepad {gamepad.name}; Ctrl-C ends", flush=True)
+        Account(args.json).say(f"gamepad {gamepad.name}; Ctrl-C ends")
         return gamepad
 
     return make

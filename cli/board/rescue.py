@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.board.checked import Unchecked, checked_image
-from neuroflight.cli.options import find_port
+from neuroflight.cli.options import Json, find_port
 from neuroflight.cli.progress import step_bars
+from neuroflight.cli.report import Account
 from neuroflight.cli.requests import Argument, Option, Request
 from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
@@ -28,6 +29,13 @@ if TYPE_CHECKING:
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.hex"
 BAUD_MIN, BAUD_MAX = 1200, 115_200  # AN3155: what the ROM measures
 WORDS = {"erase": "erasing", "write": "writing", "verify": "comparing"}
+RUNS = "start  the image runs; let BOOT go, and plug the board out and in once"
+WAITS = "start  let BOOT go, and plug the board out and in: the image starts then"
+# The brown-out level is left to another tool: the same word of the chip can lock it.
+BROWN_OUT = (
+    "option brown-out detector: `board status` tells it; see docs/guides/board-bring-up.md,\n"
+    "       hold BOOT again, plug in by USB: STM32_Programmer_CLI -c port=usb1 -ob BOR_LEV=0 sets level 3"
+)
 PURPOSES = (
     *((FLASH_BOOT, "boot part"), (FLASH_BANK_A, "bank A"), (FLASH_BANK_B, "bank B")),
     *((sector, "settings") for sector in FLASH_SETTINGS),
@@ -59,6 +67,7 @@ class Rescue(Request):
     unchecked: Unchecked = False
     all: Annotated[bool, Option(None, "erase bank B as well: no other image is left to fall back to")] = False
     verify_only: Annotated[bool, Option(None, "compare flash with the image, write nothing")] = False
+    json: Json = False
 
     def run(self) -> int:
         """Flash by the ROM. Returns 0; raises LinkError of one line that says what was not written."""
@@ -82,26 +91,33 @@ class Rescue(Request):
         plan = plan_flash(segments, erase_bank_b=self.all)
         with RomClient(open_transport(self.port, "E")) as client:
             chip = client.connect()
-            print(f"chip   0x{chip.product_id:03X}, boot loader in its ROM, on {client.name}")
-            _tell(f"{self.image}, {facts}", plan, baud, check)
+            told = Account(self.json)
+            told.say(f"chip   0x{chip.product_id:03X}, boot loader in its ROM, on {client.name}")
+            _tell(told, f"{self.image}, {facts}", plan, baud, check)
+            document = {
+                "chip": chip.product_id,
+                "image": str(self.image),
+                "bytes": plan.bytes,
+                "check": check,
+                "erase": [_purpose(sector) for sector in plan.sectors],
+                "result": "nothing written" if self.dry_run else "equal" if self.verify_only else "written",
+            }
             if self.dry_run:
-                print("nothing was written")
-                return 0
+                return told.end(document, "nothing was written")
             if not self.verify_only:
-                print("safety propellers off: the image starts when it is written", flush=True)
+                told.say("safety propellers off: the image starts when it is written")
             with step_bars(WORDS) as progress:
                 if self.verify_only:
                     verify(client, plan, progress)
                 else:
                     _install(client, plan, progress)
             if self.verify_only:
-                print(f"equal  {plan.bytes:,} bytes; nothing was written")
-                return 0
-            print(f"done   {plan.bytes:,} bytes written and read back equal", end="")
-            print(f", {client.repeated} commands repeated" if client.repeated else "")
-            _tell_start(start(client))
-            _offer_brown_out()
-        return 0
+                return told.end(document, f"equal  {plan.bytes:,} bytes; nothing was written")
+            repeated = f", {client.repeated} commands repeated" if client.repeated else ""
+            told.say(f"done   {plan.bytes:,} bytes written and read back equal{repeated}")
+            document["started"] = start(client)
+        told.say(RUNS if document["started"] else WAITS)
+        return told.end(document, BROWN_OUT)
 
 
 def _install(client: RomClient, plan: FlashPlan, progress: Progress) -> None:
@@ -116,27 +132,12 @@ def _install(client: RomClient, plan: FlashPlan, progress: Progress) -> None:
         ) from None
 
 
-def _tell(image: str, plan: FlashPlan, baud: float, check: str) -> None:
-    print(f"image  {image}, {plan.bytes:,} bytes")
-    print(f"check  {check}")
-    print(f"erase  {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.sectors)}")
-    print(f"keep   {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.kept)}")
-    print(f"takes  about {plan.seconds(baud):.0f} s at {baud:.0f} baud", flush=True)
-
-
-def _tell_start(started: bool) -> None:
-    if started:
-        print("start  the image runs; let BOOT go, and plug the board out and in once")
-    else:
-        print("start  let BOOT go, and plug the board out and in: the image starts then")
-
-
-def _offer_brown_out() -> None:
-    """Print how to set the brown-out level, which this tool does not write: the same word can lock a chip."""
-    print(
-        "option brown-out detector: `board status` tells it; see docs/guides/board-bring-up.md,\n"
-        "       hold BOOT again, plug in by USB: STM32_Programmer_CLI -c port=usb1 -ob BOR_LEV=0 sets level 3"
-    )
+def _tell(told: Account, image: str, plan: FlashPlan, baud: float, check: str) -> None:
+    told.say(f"image  {image}, {plan.bytes:,} bytes")
+    told.say(f"check  {check}")
+    told.say(f"erase  {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.sectors)}")
+    told.say(f"keep   {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.kept)}")
+    told.say(f"takes  about {plan.seconds(baud):.0f} s at {baud:.0f} baud")
 
 
 def _purpose(number: int) -> str:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from neuroflight.cli.board.state import OnPort, Reboot, connect
+from neuroflight.cli.board.state import OnPort, connect, started_anew
 from neuroflight.cli.options import Json
+from neuroflight.cli.questions import confirm
+from neuroflight.cli.report import Account, print_json, print_table
 from neuroflight.cli.requests import Argument, Option
-from neuroflight.cli.tables import print_json, print_table
 from neuroflight.toolchain.contract import AT_ONCE
 from neuroflight.toolchain.errors import LinkError
 
 if TYPE_CHECKING:
-    from neuroflight.flash.link.client import Client
     from neuroflight.flash.settings.text import Value
     from neuroflight.flash.settings.values import Stored
 
@@ -68,7 +67,8 @@ class Get(OnPort):
             )
             for stored in found
         ]
-        print_table(("setting", "value", "default", "range", "unit", "meaning"), rows, frozenset())
+        heads = ("setting", "value", "default", "range", "unit", "meaning")
+        print_table("", [heads, *rows], numbers=())
         return 0
 
 
@@ -105,6 +105,7 @@ class Set(OnPort):
     changes: Annotated[tuple[str, ...], Argument("NAME=VALUE", 'such as mode1="arm aux1 1700 2100"')]
     save: Save = False
     reboot: Annotated[bool, Option(None, "with --save: start anew, to fly them")] = False
+    json: Json = False
 
     def run(self) -> int:
         """Change settings, all of them or none."""
@@ -124,8 +125,15 @@ class Set(OnPort):
         told = f"{_count(changes)} set"
         if STYLE in changes:
             told += "; a new style of rates sets the other rates to its defaults"
-        print(f"{told}{' and stored' if self.save else ''}; {when_flown(changes, saved=self.save)}")
-        return Reboot(port=self.port).run() if self.reboot else 0
+        told += f"{' and stored' if self.save else ''}; {when_flown(changes, saved=self.save)}"
+        if self.reboot:
+            told += f"\n{started_anew(self.port)}"
+        return Account(self.json).end(changed(changes, stored=self.save) | {"rebooted": self.reboot}, told)
+
+
+def changed(changes: Mapping[str, Value], *, stored: bool) -> dict[str, Any]:
+    """Return changes of settings as JSON data."""
+    return {"changed": {name: _plain(name, value) for name, value in changes.items()}, "stored": stored}
 
 
 def _count(changes: object) -> str:
@@ -181,6 +189,7 @@ class Restore(OnPort):
 
     file: Annotated[Path, Argument("FILE", "as printed by dump or diff")]
     keep: Annotated[bool, Option(None, "leave what the file does not name as it is")] = False
+    json: Json = False
 
     def run(self) -> int:
         """Set the settings of a file, check and store them: all or nothing."""
@@ -193,13 +202,15 @@ class Restore(OnPort):
             changes = restored(settings, self.file, lines, keep=self.keep)
             settings.change(changes, save=True)
         told = f"{_count(lines)} read, {_count(changes)} changed, all stored"
-        print(f"{self.file}: {told}; {when_flown(changes, saved=True)}")
-        return 0
+        document = {"file": str(self.file), "read": len(lines), **changed(changes, stored=True)}
+        return Account(self.json).end(document, f"{self.file}: {told}; {when_flown(changes, saved=True)}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Store(OnPort):
     """A request to store all settings."""
+
+    json: Json = False
 
     def run(self) -> int:
         """Store all settings."""
@@ -208,8 +219,7 @@ class Store(OnPort):
 
         with connect(self.port) as client:
             Settings(client).save()
-        print(f"settings stored; {when_flown(BY_NAME, saved=True)}")
-        return 0
+        return Account(self.json).end({"stored": True}, f"settings stored; {when_flown(BY_NAME, saved=True)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,6 +228,7 @@ class Defaults(OnPort):
 
     yes: Yes = False
     save: Save = False
+    json: Json = False
 
     def run(self) -> int:
         """Set every setting to its default, if the user is sure."""
@@ -225,18 +236,8 @@ class Defaults(OnPort):
         from neuroflight.flash.settings.values import Settings
 
         with connect(self.port) as client:
-            if not self.yes:
-                confirm(client, "set every setting to its default")
+            confirm(self.yes, f"set every setting of {client.name} to its default", "nothing is changed")
             Settings(client).set_defaults(save=self.save)
         told = f"every setting has its default now{', stored' if self.save else ''}"
-        print(f"{told}; {when_flown(BY_NAME, saved=self.save)}")
-        return 0
-
-
-def confirm(client: Client, deed: str) -> None:
-    """Raise LinkError unless somebody at a terminal types yes."""
-    if not sys.stdin.isatty():
-        raise LinkError(f"nothing is changed; give --yes if that is meant: {deed}")
-    print(f"{client.name}: {deed}? yes or no: ", end="", file=sys.stderr, flush=True)
-    if sys.stdin.readline().strip().lower() != "yes":
-        raise LinkError(f"nothing is changed; answer yes or give --yes to {deed}")
+        told = f"{told}; {when_flown(BY_NAME, saved=self.save)}"
+        return Account(self.json).end({"defaults": True, "stored": self.save}, told)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from neuroflight.cli.board.settings import Yes, confirm, when_flown
+from neuroflight.cli.board.settings import Yes, changed, when_flown
 from neuroflight.cli.board.state import OnPort, connect
+from neuroflight.cli.options import Json
+from neuroflight.cli.questions import confirm
+from neuroflight.cli.report import Account, print_table
 from neuroflight.cli.requests import Argument, Option
-from neuroflight.cli.tables import print_table
 
 if TYPE_CHECKING:
     from neuroflight.flash.betaflight.diff_file import Diff
@@ -31,6 +33,7 @@ class Import(OnPort):
     betaflight: Annotated[
         str | None, Option("VERSION", "that wrote the file, where it does not say so itself")
     ] = None
+    json: Json = False
 
     def run(self) -> int:
         """Show which settings of a file have a counterpart, ask, then set and store all of them or none."""
@@ -50,19 +53,34 @@ class Import(OnPort):
             board = messages.board_info(client.request(Msp.BOARD_INFO)).target
             plan = fitted(plan_import(diff, board, present, self.rate_profile), settings)
             changes = needed(plan, present)
-            _show(diff, plan, present, changes)
+            told = Account(self.json)
+            document = _document(diff, plan) | changed(changes, stored=not self.dry_run)
+            if not self.json:
+                _show(diff, plan, present, changes)
             if self.dry_run or not changes:
-                print("nothing is changed" + (": a dry run" if self.dry_run else "; all of it is so already"))
-                return 0
+                why = ": a dry run" if self.dry_run else "; all of it is so already"
+                return told.end(document, f"nothing is changed{why}")
             if self.backup is not None:
                 version = version_of(client)
                 write_backup(self.backup, board, version, present)
-            if not self.yes:
-                confirm(client, f"set and store {_count(len(changes), 'setting')}")
+            what = f"set and store {_count(len(changes), 'setting')} on {client.name}"
+            confirm(self.yes, what, "nothing is changed")
             settings.change(changes, save=True)
-        told = f"{_count(len(changes), 'setting')} changed, all stored"
-        print(f"{self.file}: {told}; {when_flown(changes, saved=True)}")
-        return 0
+        done = f"{_count(len(changes), 'setting')} changed, all stored; {when_flown(changes, saved=True)}"
+        return told.end(document, f"{self.file}: {done}")
+
+
+def _document(diff: Diff, plan: ImportPlan) -> dict[str, Any]:
+    return {
+        "file": str(diff.path),
+        "betaflight": diff.release,
+        "board": diff.board or None,
+        "brought": sum(len(group.lines) for group in plan.groups),
+        "left": [
+            {"line": one.line.number, "text": one.line.shown, "reason": one.reason} for one in plan.left
+        ],
+        "notes": list(plan.notes),
+    }
 
 
 def _show(diff: Diff, plan: ImportPlan, present: dict[str, Value], changes: dict[str, Value]) -> None:
@@ -82,13 +100,14 @@ def _show(diff: Diff, plan: ImportPlan, present: dict[str, Value], changes: dict
         print(f"left, {reason}:", *lines, sep="\n")
     rows = []
     for group in plan.groups:
-        heads = [(group.name, _spans([line.number for line in group.lines]) or "left out")]
+        first = [(group.name, _spans([line.number for line in group.lines]) or "left out")]
         for name, value in group.changes.items():
             told = value_text(name, value) if name in changes else "the same"
-            what, lines_of_it = heads.pop() if heads else ("", "")
+            what, lines_of_it = first.pop() if first else ("", "")
             rows.append((what, name, value_text(name, present[name]), told, lines_of_it))
     if rows:
-        print_table(("brought over", "setting", "now", "becomes", "lines"), rows, frozenset())
+        heads = ("brought over", "setting", "now", "becomes", "lines")
+        print_table("", [heads, *rows], numbers=())
     for note in plan.notes:
         print(f"note: {note}")
 

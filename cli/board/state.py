@@ -5,11 +5,11 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from neuroflight.cli.options import Json, Port
+from neuroflight.cli.report import Account, print_facts, print_json, print_table
 from neuroflight.cli.requests import Option, Request
-from neuroflight.cli.tables import print_facts, print_json, print_table
 
 if TYPE_CHECKING:
     from neuroflight.flash.board.acknowledge import Acknowledged
@@ -193,20 +193,18 @@ class TaskLoads(OnPort):
             print_json({"cycles_hz": told.cycles_hz, "tasks": rows})
             return 0
         heads = ("task", "rate Hz", "runs", "worst us", "mean us", "best us", "variability %", "missed")
-        print_table(
-            heads,
-            [
-                (
-                    str(row["task"]).lower(),
-                    str(row["rate_hz"] or "when due"),
-                    str(row["runs"]),
-                    *(f"{row[key]:.2f}" for key in ("worst_us", "mean_us", "best_us", "variability_percent")),
-                    str(row["misses"]),
-                )
-                for row in rows
-            ],
-            frozenset(heads[1:]),
-        )
+        us = ("worst_us", "mean_us", "best_us", "variability_percent")
+        cells = [
+            (
+                str(row["task"]).lower(),
+                str(row["rate_hz"] or "when due"),
+                str(row["runs"]),
+                *(f"{row[key]:.2f}" for key in us),
+                str(row["misses"]),
+            )
+            for row in rows
+        ]
+        print_table("", [heads, *cells], numbers=heads[1:])
         return 0
 
 
@@ -246,9 +244,7 @@ class Faults(OnPort):
             if self.ack and told.pending is not None:
                 client.request(Msp.FAULTS, requests.acknowledge(told.pending.boot))
         if self.json:
-            known = None
-            if told.pending is not None:
-                known = asdict(told.pending) | {"kind": told.pending.kind.name}
+            known = None if told.pending is None else _fault_document(told.pending)
             acknowledged = bool(known and self.ack)
             print_json({"boots": told.boots, "fault": known, "acknowledged": acknowledged, "gyro": gyro})
         elif told.pending is None:
@@ -258,6 +254,10 @@ class Faults(OnPort):
             if self.ack:
                 print(f"acknowledged: the fault that boot {told.pending.boot} found")
         return 0
+
+
+def _fault_document(fault: Fault) -> dict[str, Any]:
+    return asdict(fault) | {"kind": fault.kind.name}
 
 
 def _fault_rows(fault: Fault, boots: int) -> list[tuple[str, str]]:
@@ -284,13 +284,16 @@ def _fault_rows(fault: Fault, boots: int) -> list[tuple[str, str]]:
 class Acknowledge(OnPort):
     """A request to acknowledge the conditions that keep the board from arming."""
 
+    json: Json = False
+
     def run(self) -> int:
         """Acknowledge the conditions that keep the board from arming, and print them."""
         from neuroflight.flash.board.acknowledge import acknowledge
 
         with connect(self.port) as client:
-            print(_acknowledged(acknowledge(client)))
-        return 0
+            known = acknowledge(client)
+        fault = None if known.fault is None else _fault_document(known.fault)
+        return Account(self.json).end({"fault": fault, "refused": known.refused.name}, _acknowledged(known))
 
 
 def _acknowledged(known: Acknowledged) -> str:
@@ -309,14 +312,16 @@ def _acknowledged(known: Acknowledged) -> str:
 class Calibrate(OnPort):
     """A request to measure the gyro's bias anew."""
 
+    json: Json = False
+
     def run(self) -> int:
         """Have the gyro's bias measured anew and wait until it is known."""
         from neuroflight.flash.board.calibration import calibrate
 
         with connect(self.port) as client:
             calibrate(client)
-            print(f"{client.name}: the gyro is calibrated")
-        return 0
+            told = f"{client.name}: the gyro is calibrated"
+            return Account(self.json).end({"port": client.name, "calibrated": True}, told)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,21 +331,29 @@ class Reboot(OnPort):
     rom: Annotated[
         bool, Option(None, "start the boot loader in the chip's ROM instead, for `board rescue`")
     ] = False
+    json: Json = False
 
     def run(self) -> int:
         """Start the firmware anew and wait until it answers, or the chip's ROM."""
-        from neuroflight.flash.board.restart import enter_rom, restart
-        from neuroflight.flash.link.transport import open_transport
+        from neuroflight.flash.board.restart import enter_rom
 
         if self.rom:
             with connect(self.port) as client:
                 enter_rom(client)
-                print(f"{client.name}: the board starts the boot loader in its chip's ROM")
-            print(
+            told = (
+                f"{client.name}: the board starts the boot loader in its chip's ROM\n"
                 f"next: neuroflight board rescue IMAGE --port {self.port}; pulling the plug brings the "
                 "firmware back"
             )
-            return 0
-        with closing(restart(connect(self.port), lambda: open_transport(self.port))) as client:
-            print(f"{client.name}: the firmware has started anew and answers")
-        return 0
+        else:
+            told = started_anew(self.port)
+        return Account(self.json).end({"started": "rom" if self.rom else "firmware"}, told)
+
+
+def started_anew(port: str) -> str:
+    """Start the firmware anew, wait until it answers, and say so."""
+    from neuroflight.flash.board.restart import restart
+    from neuroflight.flash.link.transport import open_transport
+
+    with closing(restart(connect(port), lambda: open_transport(port))) as client:
+        return f"{client.name}: the firmware has started anew and answers"

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 from neuroflight.cli.board.state import OnPort, connect
 from neuroflight.cli.options import Json
 from neuroflight.cli.output import check_output
+from neuroflight.cli.report import console, print_json
 from neuroflight.cli.requests import Option
-from neuroflight.cli.tables import console, print_json
 from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from neuroflight.cli.compare.controllers import check_ranges
 from neuroflight.cli.compare.suite import Suite
-from neuroflight.cli.log.reading import header_lines, part
+from neuroflight.cli.log.reading import header_lines
+from neuroflight.cli.options import OfRecording
 from neuroflight.cli.requests import Option
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ FLIGHT_NOTE = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Commanded(Suite):
+class Commanded(OfRecording, Suite):
     """Options that choose the commands."""
 
     names = tuple(TASKS)
@@ -70,10 +70,16 @@ class Commanded(Suite):
         ),
     ] = None
     limit: Annotated[
-        Number, Option("DEG_S", "greatest command, episodic and continuous; default: 300 and 360")
+        Number,
+        Option(
+            "DEG_S",
+            "greatest command, episodic and continuous; default: 300 and 360",
+            name="--max-rate",
+            old=("--limit",),
+        ),
     ] = None
     length: Annotated[
-        Number, Option("SECONDS", "of an episode, continuous (10) or flight (60); with --sigma, pilot")
+        Number, Option("S", "of an episode, continuous (10) or flight (60); with --sigma, pilot")
     ] = None
     sigma: Annotated[
         Number, Option("DEG_S", "standard deviation of the pilot's commands; he flies no aerobatics then")
@@ -82,18 +88,8 @@ class Commanded(Suite):
         Path | None,
         Option("FILE", "fly these recorded commands: a trace (.npz), a table (.csv), a log (FILE:N for N)"),
     ] = None
-    start: Annotated[Number, Option("S", "of recorded commands, from here on", name="--from")] = None
-    stop: Annotated[Number, Option("S", "to here; default: the end", name="--to")] = None
-    header: Annotated[
-        tuple[str, ...],
-        Option("NAME=VALUE", "a line that the log's header lacks; may be repeated", once=True),
-    ] = ()
-    cut_rates: Annotated[
-        bool, Option(None, "fly recorded rates beyond full stick as full stick, 1000 deg/s")
-    ] = False
     piece: Annotated[
-        Number,
-        Option("SECONDS", f"cut them into episodes of this length; 0: the whole; default: {PIECE_S:g}"),
+        Number, Option("S", f"cut them into episodes of this length; 0: the whole; default: {PIECE_S:g}")
     ] = None
 
     def commanded(self) -> tuple[Task, int]:
@@ -105,18 +101,12 @@ class Commanded(Suite):
         from neuroflight.training.tasks.task import ContinuousTask
 
         load_plugins(self.plugin)
-        for option in ("task", "commands"):
-            if self.suite is not None and getattr(self, option) is not None:
-                raise TrainingError(
-                    f"--{option}: --suite {self.suite} says what is flown; leave one of them out"
-                )
+        if self.suite is not None:
+            said = f"--suite {self.suite} says what is flown; leave one of them out"
+            self.refuse("task", "commands", because=said)
         if self.commands is None:
-            if self.piece is not None:
-                raise TrainingError("--piece: cuts recorded commands; give them with --commands")
-            if self.header or self.start or self.stop is not None or self.cut_rates:
-                raise TrainingError(
-                    "--from, --to, --header, --cut-rates: of recorded commands; give them with --commands"
-                )
+            of_recorded = ("piece", "start", "stop", "header", "cut_rates")
+            self.refuse(*of_recorded, because="of recorded commands; give them with --commands")
             task = self._task()
             episodes = self.episodes if self.episodes is not None else self._default_episodes(task)
             check_ranges(("--episodes", episodes, 1, COUNT_MAX))
@@ -130,10 +120,8 @@ class Commanded(Suite):
                     f"together; ask for fewer with --episodes, or for shorter ones"
                 )
             return task, episodes
-        for option in ("task", "episodes", "named_command", "limit", "length", "sigma"):
-            if getattr(self, option) is not None:
-                word = "command" if option == "named_command" else option
-                raise TrainingError(f"--{word}: the commands are those of {self.commands}; leave it out")
+        of_tasks = ("task", "episodes", "named_command", "limit", "length", "sigma")
+        self.refuse(*of_tasks, because=f"the commands are those of {self.commands}; leave it out")
         if self.piece:
             check_ranges(("--piece", self.piece, PIECE_MIN_S, PIECE_MAX_S))
         pieces = self._pieces()
@@ -192,11 +180,11 @@ class Commanded(Suite):
         if self.limit is not None:
             if not isinstance(task, RandomCommands) or task.distribution != "uniform":
                 raise TrainingError(
-                    f"--limit: of the episodic and the continuous task, got {task.name}; leave it out"
+                    f"--max-rate: of the episodic and the continuous task, got {task.name}; leave it out"
                 )
             if self.named_command is not None:
-                raise TrainingError("--limit: of random commands; --command names one; leave it out")
-            check_ranges(("--limit", self.limit, 1.0, full))
+                raise TrainingError("--max-rate: of random commands; --command names one; leave it out")
+            check_ranges(("--max-rate", self.limit, 1.0, full))
             task = replace(task, limit_deg_s=self.limit)
         if self.named_command is None:
             return task
@@ -217,8 +205,7 @@ class Commanded(Suite):
         from neuroflight.training.tasks.pieces import RecordedPieces
 
         assert self.commands is not None
-        args = argparse.Namespace(start=self.start or 0.0, stop=self.stop, header=list(self.header))
-        recorded = load_commands(self.commands, part(args), header_lines(args), cut=self.cut_rates)
+        recorded = load_commands(self.commands, self.part, header_lines(self), cut=self.cut_rates)
         for words in recorded.warnings():
             print(words, file=sys.stderr)
         piece_s = PIECE_S if self.piece is None else self.piece

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from neuroflight.sim.analysis.confidence import Mean
     from neuroflight.training.evaluation.comparison import Entry
     from neuroflight.training.evaluation.controllers import Conditions
+    from neuroflight.training.evaluation.envelope import Envelope
     from neuroflight.training.evaluation.evaluation import Evaluation
 
 BY_AXIS = ("mae", "mse", "rest_early", "rest_late", "drift")  # figures that have a row an axis, too
@@ -168,18 +169,54 @@ def _axis_cells(mean: Mapping[str, Any], factor: float, digits: int) -> list[str
 
 def entry_documents(entries: Sequence[Entry]) -> list[dict[str, object]]:
     """Return the figures of all controllers as JSON data, beside the differences to the first."""
-    from neuroflight.training.evaluation.comparison import document
-    from neuroflight.training.evaluation.envelope import envelope, envelope_document
+    from neuroflight.training.evaluation.envelope import envelope
 
     envelopes = [envelope(entry) for entry in entries]
     return [
         {
             **flight_document(entry),
-            **document(entry, None if entry is entries[0] else entries[0]),
+            **means_document(entry, entries[0]),
             **({"envelope": envelope_document(found, envelopes[0])} if found and envelopes[0] else {}),
         }
         for entry, found in zip(entries, envelopes, strict=True)
     ]
+
+
+def means_document(entry: Entry, first: Entry) -> dict[str, object]:
+    """Return the means, and their differences to the first controller, as JSON data."""
+    from neuroflight.training.evaluation.comparison import differences, means, percent, times_faster
+
+    found: dict[str, object] = {
+        "means": {name: mean.document() for name, mean in means(entry.scores).items()}
+    }
+    if entry is first:
+        return found
+    less, more = differences(first.scores, entry.scores), percent(first.scores, entry.scores)
+    return found | {
+        "difference": {k: {**mean.document(), "significant": mean.significant} for k, mean in less.items()},
+        "percent": {name: mean.document() for name, mean in more.items() if mean.count},
+        "times_faster": times_faster(first.evaluation, entry.evaluation),
+    }
+
+
+def envelope_document(found: Envelope, first: Envelope) -> dict[str, object]:
+    """Return a flight envelope as JSON data, its error beside that of `first`."""
+    from neuroflight.training.evaluation.envelope import EDGES_DEG_S, by_magnitude
+
+    mae, reference = float(found.mae.mean()), float(first.mae.mean())
+    count, error, held = (column.tolist() for column in by_magnitude(found))
+    reach, bare = (found.magnitude[which].tolist() for which in (found.held, found.held_bare))
+    return {
+        "mae": mae,
+        "mae_ratio_to_first": mae / reference if reference > 0.0 else None,
+        "held_to_deg_s": max(reach, default=None),
+        "held_to_bare_deg_s": max(bare, default=None),
+        "largest_command_deg_s": float(found.magnitude.max()),
+        "magnitude_edges_deg_s": EDGES_DEG_S,
+        "magnitude_commands": count,
+        "magnitude_mae": [value if value == value else None for value in error],
+        "magnitude_held": [value if value == value else None for value in held],
+    }
 
 
 def flight_document(entry: Entry) -> dict[str, Any]:

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from neuroflight.cli import options
@@ -22,8 +21,8 @@ from neuroflight.cli.compare.controllers import (
     is_betaflight,
     say_foreign,
 )
-from neuroflight.cli.output import check_output
-from neuroflight.cli.report import Table, print_table, progress_bars
+from neuroflight.cli.progress import progress_bars
+from neuroflight.cli.report import Table, print_table
 from neuroflight.cli.requests import Argument, Option, Request
 
 if TYPE_CHECKING:
@@ -67,6 +66,7 @@ class Suite(Request):
     """Options that every suite has."""
 
     names: ClassVar[tuple[str, ...]]  # for --suite
+    every: ClassVar[Mapping[str, type[Suite]]] = {}  # by name, from `cli/compare/compare.py`
 
     controllers: Annotated[
         tuple[str, ...],
@@ -78,13 +78,20 @@ class Suite(Request):
     suite: Annotated[str | None, Option("NAME", "what is flown; default: flights")] = None
     aircraft: options.Aircraft = "nf1"
     plot: options.Plot = None
-    build: Annotated[
-        Path | None, Option("DIR", "Betaflight's build; default: build/BETAFLIGHT", recorded=False)
-    ] = None
+    build: options.Build = None
     all: Annotated[bool, Option(None, "print every figure, not the headline alone", recorded=False)] = False
     json: options.Json = False
 
-    words: ClassVar[str] = "compare"  # type: ignore[misc]
+    @classmethod
+    def add_arguments(cls, parser: argparse.ArgumentParser) -> None:
+        """Declare every field; --suite names all suites that there are."""
+        super().add_arguments(parser)
+        parser.description = f"{parser.description}. {cls.__doc__}"
+        (suite,) = (action for action in parser._actions if action.dest == "suite")
+        suite.choices = tuple(cls.every)
+        suite.help = (
+            f"what is flown: {', '.join(cls.every)}; each has options of its own, see --suite NAME --help"
+        )
 
     def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Fly all controllers. Resources to close afterwards go to `ends`. Raises NeuroflightError."""
@@ -120,14 +127,13 @@ class Suite(Request):
         """Build Betaflight unless it is there. Raises AircraftError if it cannot fly the aircraft."""
         from neuroflight.cli.fly.ports import built_betaflight
 
-        return built_betaflight(argparse.Namespace(build=self.build, json=self.json), aircraft)
+        return built_betaflight(aircraft, self.build, quiet=self.json)
 
     def run(self) -> int:
         """Fly, draw and print."""
         from neuroflight.sim.plotting import save_png
 
         check_controllers(self.everybody)
-        check_output(self.plot, ".png")
         with ExitStack() as ends, progress_bars(self.json) as bar:
             flown = self.fly(bar, ends)
         for option, draw in flown.pictures.items():

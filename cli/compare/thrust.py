@@ -13,6 +13,7 @@ from neuroflight.cli.compare.figures import (
     MEAN_ROWS,
     MORE,
     flight_document,
+    means_document,
     side_by_side,
 )
 from neuroflight.cli.report import Table, difference, interval
@@ -41,19 +42,53 @@ REST_NOTE = (
 
 def documents(found: EqualThrust) -> dict[str, object]:
     """Return the flights at equal thrust as JSON data."""
-    from neuroflight.training.evaluation.equal_thrust import level_document
-
     return {
-        "equal_thrust": [level_document(level, flight_document) for level in found.levels],
+        "equal_thrust": [
+            {
+                "thrust": level.wanted,
+                "controllers": [
+                    {
+                        **flight_document(entry),
+                        **means_document(entry, level.entries[0]),
+                        "thrust_at_rest": trim.rest.thrust.document(),
+                        "motor_at_rest": trim.rest.motor,
+                        "motor_deviation_at_rest": trim.rest.deviation,
+                        "reached": trim.reached,
+                    }
+                    for entry, trim in zip(level.entries, level.trims, strict=True)
+                ],
+            }
+            for level in found.levels
+        ],
         **rest_documents(found.transparency),
     }
 
 
 def rest_documents(rests: Sequence[Transparency]) -> dict[str, object]:
     """Return thrust against throttle as JSON data."""
-    from neuroflight.training.evaluation.equal_thrust import transparency_document
+    return {"transparency": [_rest_document(each) for each in rests]}
 
-    return {"transparency": [transparency_document(each) for each in rests]}
+
+def _rest_document(known: Transparency) -> dict[str, object]:
+    from neuroflight.training.evaluation.thrust import TRANSPARENT
+
+    farthest = known.deviation
+    return {
+        "controller": known.controller.name,
+        **known.controller.facts,
+        "idle": known.controller.idle,
+        "throttle": [rest.throttle for rest in known.rests],
+        "thrust": [float(rest.thrust.value) for rest in known.rests],
+        "motor": [rest.motor for rest in known.rests],
+        "motor_deviation": [rest.deviation for rest in known.rests],
+        "ideal": [known.ideal(rest.throttle) for rest in known.rests],
+        "deviation": {
+            "throttles": list(TRANSPARENT),
+            "value": farthest.motor - known.ideal(farthest.throttle),
+            "throttle": farthest.throttle,
+        },
+        "falls": None if known.falls is None else list(known.falls),
+    }
 
 
 def equal_thrust_tables(

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
-import json
-import math
-import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from neuroflight.cli.dyno.repeats import heading_table, print_repeats, repeats_document
-from neuroflight.cli.dyno.run import COLUMNS, check_range
+from neuroflight.cli.dyno.repeats import print_repeats, repeats_document
+from neuroflight.cli.dyno.run import COLUMNS
+from neuroflight.cli.options import Json, picture
+from neuroflight.cli.progress import progress_bars
+from neuroflight.cli.report import print_json, print_table
+from neuroflight.cli.requests import Argument, Option, Request
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -19,144 +20,130 @@ if TYPE_CHECKING:
     from neuroflight.sim.identification.dyno.robust_fit import Estimate
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare logs, choices and outputs."""
-    parser.add_argument(
-        "data",
-        type=Path,
-        nargs="+",
-        metavar="DATA.csv",
-        help=f"one or more runs: {COLUMNS}; or logs of a thrust stand's program whose headings name units "
-        "(RCbenchmark, Tyto and their like)",
-    )
-    parser.add_argument(
-        "--column",
-        action="append",
-        default=[],
-        metavar="QUANTITY=HEADING",
-        help="which column holds the time, throttle, speed, thrust or torque, where headings leave it open",
-    )
-    parser.add_argument(
-        "--unit",
-        action="append",
-        default=[],
-        metavar="QUANTITY=UNIT",
-        help="unit of a column whose heading names none, such as thrust=gf",
-    )
-    parser.add_argument(
-        "--poles",
-        type=int,
-        metavar="N",
-        help="magnets of the motor, where the log counts electrical turns: they are divided by N/2",
-    )
-    parser.add_argument(
-        "--esc-us",
-        type=float,
-        nargs=2,
-        metavar=("ZERO", "FULL"),
-        help="pulses that the ESC takes for 0 and full throttle, where the log has its signal in us",
-    )
-    parser.add_argument(
-        "--aircraft", metavar="NAME|FILE", help="whose rotor inertia turns accelerations into torques"
-    )
-    parser.add_argument(
-        "--write",
-        type=Path,
-        metavar="FILE.toml",
-        help="put the fit into this aircraft file; made from --aircraft if that is another",
-    )
-    parser.add_argument(
-        "--response",
-        choices=["auto", "torque", "first_order"],
-        default="auto",
-        help="auto: the one that fits better",
-    )
-    parser.add_argument(
-        "--speed-dependent", action="store_true", help="K_T and K_Q may be polynomials of speed"
-    )
-    parser.add_argument(
-        "--delay", type=float, metavar="S", help="latency from command to rotor; default: fitted"
-    )
-    parser.add_argument("--inertia", type=float, metavar="KG_M2", help="rotor inertia, instead of the file's")
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the model beside the data")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+@dataclass(frozen=True, kw_only=True)
+class MakeFit(Request):
+    """A request to fit a rotor's model to a dynamometer's log."""
 
+    data: Annotated[
+        tuple[Path, ...],
+        Argument(
+            "DATA.csv",
+            f"one or more runs: {COLUMNS}; or logs of a thrust stand's program whose headings name units "
+            "(RCbenchmark, Tyto and their like)",
+        ),
+    ]
+    column: Annotated[
+        tuple[str, ...],
+        Option(
+            "QUANTITY=HEADING",
+            "which column holds the time, throttle, speed, thrust or torque, where headings leave it open",
+            once=True,
+        ),
+    ] = ()
+    unit: Annotated[
+        tuple[str, ...],
+        Option("QUANTITY=UNIT", "unit of a column whose heading names none, such as thrust=gf", once=True),
+    ] = ()
+    poles: Annotated[
+        int | None,
+        Option("N", "magnets of the motor, where the log counts electrical turns: they are divided by N/2"),
+    ] = None
+    esc_us: Annotated[
+        tuple[float, ...] | None,
+        Option(
+            ("ZERO", "FULL"),
+            "pulses that the ESC takes for 0 and full throttle, where the log has its signal in us",
+            number=2,
+        ),
+    ] = None
+    aircraft: Annotated[
+        str | None, Option("NAME|FILE", "whose rotor inertia turns accelerations into torques")
+    ] = None
+    write: Annotated[
+        Path | None,
+        Option(
+            "AIRCRAFT.toml",
+            "put the fit into this aircraft file; made from --aircraft if that is another",
+            suffix=".toml",
+        ),
+    ] = None
+    response: Annotated[
+        str, Option(None, "auto: the one that fits better", choices=("auto", "torque", "first_order"))
+    ] = "auto"
+    speed_dependent: Annotated[bool, Option(None, "K_T and K_Q may be polynomials of speed")] = False
+    delay: Annotated[
+        float | None,
+        Option("S", "latency from command to rotor; default: fitted", low=0.0, high=0.1, unit="s"),
+    ] = None
+    inertia: Annotated[
+        float | None,
+        Option("KG_M2", "rotor inertia, instead of the file's", low=1e-12, high=10.0, unit="kg m²"),
+    ] = None
+    plot: Annotated[Path | None, picture("draw the model beside the data")] = None
+    json: Json = False
 
-def run(args: argparse.Namespace) -> int:
-    """Fit, write the outputs, print the figures. Returns 0."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    def run(self) -> int:
+        """Fit, write the outputs, print the figures. Returns 0."""
+        from neuroflight.sim.aircraft.model import aircraft_file, load_aircraft
+        from neuroflight.sim.identification.dyno.fit import fit
+        from neuroflight.sim.identification.dyno.points import PointsFit, fit_points
+        from neuroflight.sim.identification.dyno.stand import choices, read_logs
+        from neuroflight.toolchain.errors import DynoError
 
-    from neuroflight.cli.output import check_output
-    from neuroflight.sim.aircraft.model import aircraft_file, load_aircraft
-    from neuroflight.sim.identification.dyno.fit import fit
-    from neuroflight.sim.identification.dyno.points import PointsFit, fit_points
-    from neuroflight.sim.identification.dyno.response import DELAY_MAX
-    from neuroflight.sim.identification.dyno.stand import choices, read_logs
-    from neuroflight.toolchain.errors import DynoError
+        name = self.aircraft if self.aircraft is not None else self.write
+        if self.aircraft is None and self.write is not None and not self.write.is_file():
+            raise NeuroflightError(
+                f"--write {self.write}: no such file, expected an aircraft to put the fit into; "
+                f"give --aircraft NAME|FILE to make it from another"
+            )
+        aircraft = load_aircraft(name) if name is not None else None
+        with progress_bars(self.json) as bar:
+            show = bar("reading")
+            chosen = choices(self.column, self.unit, self.poles, self.esc_us)
+            recording, stands, reason = read_logs(self.data, chosen)
+            found: Fit | PointsFit | None = None
+            if recording is not None:
+                try:
+                    found = fit(
+                        recording,
+                        kind=self.response,
+                        delay=self.delay,
+                        speed_dependent=self.speed_dependent,
+                        progress=lambda stage: show(0.0, None, stage),
+                    )
+                except DynoError as error:
+                    if not stands:
+                        raise
+                    reason = f"no speed curve and response: {error}"
+            if found is None:
+                found = fit_points(stands, reason, speed_dependent=self.speed_dependent)
+        title = ", ".join(path.name for path in self.data)
+        if self.write:
+            from neuroflight.sim.identification.dyno.write import write_fit
 
-    check_output(args.plot, ".png")
-    check_output(args.write, ".toml")
-    if args.delay is not None:
-        check_range("--delay", args.delay, 0, DELAY_MAX)
-    if args.inertia is not None:
-        check_range("--inertia", args.inertia, 1e-12, 10)
-    name = args.aircraft if args.aircraft is not None else args.write
-    if args.aircraft is None and args.write is not None and not args.write.is_file():
-        raise NeuroflightError(
-            f"--write {args.write}: no such file, expected an aircraft to put the fit into; "
-            f"give --aircraft NAME|FILE to make it from another"
-        )
-    aircraft = load_aircraft(name) if name is not None else None
-    columns = (TextColumn("{task.description:<22}"), BarColumn(), TimeElapsedColumn())
-    quiet = args.json or not sys.stderr.isatty()
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
-        task = bar.add_task("reading", total=None)
-        chosen = choices(args.column, args.unit, args.poles, args.esc_us)
-        recording, stands, reason = read_logs(args.data, chosen)
-        found: Fit | PointsFit | None = None
-        if recording is not None:
-            try:
-                found = fit(
-                    recording,
-                    kind=args.response,
-                    delay=args.delay,
-                    speed_dependent=args.speed_dependent,
-                    progress=lambda stage: bar.update(task, description=stage),
-                )
-            except DynoError as error:
-                if not stands:
-                    raise
-                reason = f"no speed curve and response: {error}"
-        if found is None:
-            found = fit_points(stands, reason, speed_dependent=args.speed_dependent)
-    title = ", ".join(path.name for path in args.data)
-    if args.write:
-        from neuroflight.sim.identification.dyno.write import write_fit
+            write_fit(aircraft_file(self.aircraft or self.write), self.write, found, title, self.inertia)
+        if self.plot:
+            from neuroflight.sim.identification.dyno.plot import save_fit_plot
 
-        write_fit(aircraft_file(name), args.write, found, title, args.inertia)
-    if args.plot:
-        from neuroflight.sim.identification.dyno.plot import save_fit_plot
+            save_fit_plot(self.plot, found, f"{title}: dynamometer fit")
+        inertia = self.inertia
+        if inertia is None and aircraft is not None:
+            inertia = aircraft.propulsion.rotor_inertia
+        if isinstance(found, PointsFit):
+            from neuroflight.cli.dyno.points import points_document, print_points
 
-        save_fit_plot(args.plot, found, f"{title}: dynamometer fit")
-    inertia = args.inertia
-    if inertia is None and aircraft is not None:
-        inertia = aircraft.propulsion.rotor_inertia
-    if isinstance(found, PointsFit):
-        from neuroflight.cli.dyno.points import points_document, print_points
-
-        if args.json:
-            print(json.dumps(points_document(args.data, found, args.write), indent=2))
+            if self.json:
+                print_json(points_document(self.data, found, self.write))
+            else:
+                print_points(title, found, self.write)
+        elif self.json:
+            print_json(_document(self, found, inertia))
         else:
-            print_points(title, found, args.write)
-    elif args.json:
-        print(json.dumps(_document(args, found, inertia), indent=2))
-    else:
-        _print_fit(title, found, inertia, args.write)
-    return 0
+            _print_fit(title, found, inertia, self.write)
+        return 0
 
 
-def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict[str, Any]:
+def _document(args: MakeFit, fit: Fit, inertia: float | None) -> dict[str, Any]:
     from neuroflight.cli.dyno.points import estimate
     from neuroflight.sim.aircraft.model import RPM
 
@@ -217,26 +204,17 @@ def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict
 
 
 def _print_fit(title: str, fit: Fit, inertia: float | None, written: Path | None) -> None:
-    from rich.console import Console
-    from rich.text import Text
-
+    from neuroflight.cli.dyno.points import print_parameters
     from neuroflight.sim.identification.bench.summary import repeats
 
-    console = Console()
-    rows, outliers = len(fit.recording.time), [int(off.sum()) for off in fit.outliers]
-    table = heading_table(f"{title}: {rows} rows", "", "fitted", "± standard error", "")
-    for label, item, scale, unit in _parameters(fit, inertia):
-        error = f"{item.error * scale:.2g}" if math.isfinite(item.error) else "at least"
-        table.add_row(label, f"{item.value * scale:.5g}", error, unit)
-    console.print(table)
-    table = heading_table(
-        "\nspeed error, % of top speed", "throttle", "MAE", "RMS", "max", "model RMS", "model max"
-    )
+    outliers = [int(off.sum()) for off in fit.outliers]
+    print_parameters(f"{title}: {len(fit.recording.time)} rows", _parameters(fit, inertia))
+    errors: list[tuple[str, ...]] = [("throttle", "MAE", "RMS", "max", "model RMS", "model max")]
     for part in fit.speed_errors:
         values = (part.mae, part.rms, part.largest, part.model_rms, part.model_largest)
         level = "elsewhere" if part.level is None else f"step to {100 * part.level:.0f} %"
-        table.add_row(level, *(f"{100 * value:.2f}" for value in values))
-    console.print(table)
+        errors.append((level, *(f"{100 * value:.2f}" for value in values)))
+    print_table("\nspeed error, % of top speed", errors)
     if repeated := repeats(fit.recording):
         title = f"\n{repeated.runs} runs: mean ± 95 % interval"
         print_repeats(title, repeated.steps, repeated.ramp_top)
@@ -257,8 +235,7 @@ def _print_fit(title: str, fit: Fit, inertia: float | None, written: Path | None
         lines.append(
             f"wrote {written}; not the latency: an aircraft's delay_s holds the control loop's sample too"
         )
-    for line in lines:
-        console.print(Text(line))
+    print(*lines, sep="\n")
 
 
 def _parameters(fit: Fit, inertia: float | None) -> list[tuple[str, Estimate, float, str]]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from neuroflight.cli.report import print_table
 
 if TYPE_CHECKING:
     from neuroflight.sim.identification.dyno.fit import Fit
@@ -29,10 +31,7 @@ def static_parameters(fit: Fit | PointsFit) -> list[tuple[str, Estimate, float, 
         (f"H(u) {power}", term, 1 / RPM, "rpm")
         for power, term in zip(("u²", "u", "1"), fit.speed_curve or (), strict=False)
     ]
-    for name, terms, unit in (
-        ("K_T", fit.thrust_coefficient, "N s²/rad²"),
-        ("K_Q", fit.torque_ratio, "m"),
-    ):
+    for name, terms, unit in (("K_T", fit.thrust_coefficient, "N s²/rad²"), ("K_Q", fit.torque_ratio, "m")):
         for power, term in enumerate(terms):
             suffix = ("", " ω", " ω²", " ω³")[power]
             rows.append((f"{name}{suffix}", term, 1.0, unit + (f" (s/rad)^{power}" if power else "")))
@@ -65,17 +64,9 @@ def points_document(data: Sequence[Path], fit: PointsFit, written: Path | None) 
 
 def print_points(title: str, fit: PointsFit, written: Path | None) -> None:
     """Print a table with a row for each number, then how the log's columns were read."""
-    from rich.console import Console
-    from rich.text import Text
-
-    from neuroflight.cli.dyno.repeats import heading_table
     from neuroflight.sim.aircraft.model import RPM
 
-    console = Console()
-    table = heading_table(f"{title}: {len(fit.speed)} points", "", "fitted", "± standard error", "")
-    for label, item, scale, unit in static_parameters(fit):
-        table.add_row(label, f"{item.value * scale:.5g}", f"{item.error * scale:.2g}", unit)
-    console.print(table)
+    print_parameters(f"{title}: {len(fit.speed)} points", static_parameters(fit))
     torque = f", {100 * fit.torque_left:.1f} % of the greatest torque" if fit.torque_ratio else ""
     lines = [
         f"up to {fit.speed_max / RPM:,.0f} rpm; the fit leaves {100 * fit.thrust_left:.1f} % of the greatest "
@@ -87,5 +78,13 @@ def print_points(title: str, fit: PointsFit, written: Path | None) -> None:
     if written is not None:
         kept = "the response" if fit.speed_curve is not None else "speed curve and response"
         lines.append(f"wrote {written}; {kept} stayed as they were")
-    for line in lines:
-        console.print(Text(line))
+    print(*lines, sep="\n")
+
+
+def print_parameters(title: str, rows: Iterable[tuple[str, Estimate, float, str]]) -> None:
+    """Print a row for each number: label, estimate, scale and unit."""
+    table = [("", "fitted", "± standard error", " ")]
+    for label, item, scale, unit in rows:
+        error = f"{item.error * scale:.2g}" if math.isfinite(item.error) else "at least"
+        table.append((label, f"{item.value * scale:.5g}", error, unit))
+    print_table(title, table, numbers=table[0][1:3])

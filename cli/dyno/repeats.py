@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from neuroflight.cli.report import print_table
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from rich.table import Table
 
     from neuroflight.sim.identification.bench.summary import Figure, Peak, Repeats, StepFigures
 
@@ -20,39 +20,23 @@ def repeats_document(repeats: Repeats | None) -> dict[str, Any] | None:
     return None if repeats is None else asdict(repeats)
 
 
-def heading_table(title: str, *headings: str) -> Table:
-    """Return an empty table; all columns but the first are numbers."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title), title_justify="left", box=None)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left")
-    return table
-
-
 def print_repeats(title: str, steps: Sequence[StepFigures], top: Peak | None) -> None:
     """Print a row for each level and one of the ramp's top, each figure with half its 95 % interval."""
-    from rich.console import Console
-
-    table = heading_table(title, *HEADINGS)
+    rows = [HEADINGS]
     for item in steps:
-        table.add_row(
-            f"step to {item.level:.1%}",
-            _cell(item.rise_s, 1000, 0),
-            _cell(item.rpm, 1, 0),
-            _cell(item.thrust_n, 1, 3),
-            _cell(item.torque_n_m, 1, 5),
-        )
+        rows.append((f"step to {item.level:.1%}", _cell(item.rise_s, 1000, 0), *_largest(item)))
     if top is not None:
-        largest = (_cell(top.rpm, 1, 0), _cell(top.thrust_n, 1, 3), _cell(top.torque_n_m, 1, 5))
-        table.add_row("top of the ramp", "", *largest)
-    Console().print(table)
+        rows.append(("top of the ramp", "", *_largest(top)))
+    print_table(title, rows)
     if top is not None:
         print(
             f"at the ramp's top K_T = {_short(top.thrust_coefficient)} N s²/rad², "
             f"K_Q = {_short(top.torque_ratio_m)} m"
         )
+
+
+def _largest(item: StepFigures | Peak) -> tuple[str, str, str]:
+    return _cell(item.rpm, 1, 0), _cell(item.thrust_n, 1, 3), _cell(item.torque_n_m, 1, 5)
 
 
 def _cell(item: Figure, scale: float, digits: int) -> str:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+from neuroflight.cli.dyno.bench import Experiment
 from neuroflight.cli.dyno.repeats import print_repeats, repeats_document
-from neuroflight.cli.output import check_output
+from neuroflight.cli.options import Json, picture
+from neuroflight.cli.report import print_json, print_table
+from neuroflight.cli.requests import Option, Request
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -23,95 +25,93 @@ if TYPE_CHECKING:
     from neuroflight.sim.identification.dyno.recording import Recording
 
 COLUMNS = "columns time_s, throttle (0..1), rpm, thrust_n, torque_n_m"
-RATE_HZ_DEFAULT = 500
-REPEATS_MAX = 99
-HOLD_MIN, HOLD_MAX = 1.0, 10.0  # [s]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the rotor, the experiment, its disturbances, and the output."""
-    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="whose rotor")
-    parser.add_argument("--experiment", choices=["steps", "ramp", "all"], default="all")
-    parser.add_argument(
-        "--repeats",
-        type=int,
-        default=1,
-        metavar="N",
-        help="of each experiment, in turns, each with noise of its own; prints means with 95 %% intervals",
-    )
-    parser.add_argument(
-        "--hold", type=float, metavar="S", help="each level, and the rest after it (default 2; Koch 2019: 1)"
-    )
-    parser.add_argument(
-        "--sensors",
-        action="store_true",
-        help="record through the bench's sensors, simulated: load cells that are calibrated with masses "
-        "first, blades that are counted; prints what they found beside the truth",
-    )
-    parser.add_argument("--rate-hz", type=float, default=RATE_HZ_DEFAULT, metavar="HZ", help="rows a second")
-    parser.add_argument("--noise", type=float, default=0.0, metavar="PERCENT", help="standard deviation")
-    parser.add_argument(
-        "--noise-of",
-        choices=["full-scale", "reading"],
-        default="full-scale",
-        help="what the percentage is of: a channel's largest value, or each value",
-    )
-    parser.add_argument(
-        "--outliers", type=float, default=0.0, metavar="PERCENT", help="of each channel's values, gross"
-    )
-    parser.add_argument("--uneven", action="store_true", help="rows at uneven times, some of them lost")
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="of noise, outliers and uneven rows")
-    parser.add_argument("--out", type=Path, required=True, metavar="DATA.csv", help=COLUMNS)
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw what was recorded")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+@dataclass(frozen=True, kw_only=True)
+class Run(Request):
+    """A request to simulate a rotor on a dynamometer."""
+
+    aircraft: Annotated[str, Option("NAME|FILE", "whose rotor")] = "nf1"
+    experiment: Experiment = "all"
+    repeats: Annotated[
+        int,
+        Option(
+            "N",
+            "of each experiment, in turns, each with noise of its own; prints means with 95 %% intervals",
+            low=1,
+            high=99,
+        ),
+    ] = 1
+    hold: Annotated[
+        float | None,
+        Option(
+            "S", "each level, and the rest after it (default 2; Koch 2019: 1)", low=1.0, high=10.0, unit="s"
+        ),
+    ] = None
+    sensors: Annotated[
+        bool,
+        Option(
+            None,
+            "record through the bench's sensors, simulated: load cells that are calibrated with masses "
+            "first, blades that are counted; prints what they found beside the truth",
+        ),
+    ] = False
+    rate_hz: Annotated[float, Option("HZ", "rows a second", low=10.0, high=2000.0, unit="Hz")] = 500
+    noise: Annotated[float, Option("PERCENT", "standard deviation", low=0.0, high=100.0, unit="%")] = 0.0
+    noise_of: Annotated[
+        str,
+        Option(
+            None,
+            "what the percentage is of: a channel's largest value, or each value",
+            choices=("full-scale", "reading"),
+        ),
+    ] = "full-scale"
+    outliers: Annotated[
+        float, Option("PERCENT", "of each channel's values, gross", low=0.0, high=50.0, unit="%")
+    ] = 0.0
+    uneven: Annotated[bool, Option(None, "rows at uneven times, some of them lost")] = False
+    seed: Annotated[int, Option("S", "of noise, outliers and uneven rows", low=0, high=2**63)] = 0
+    out: Annotated[Path, Option("DATA.csv", COLUMNS, suffix=".csv")]
+    plot: Annotated[Path | None, picture("draw what was recorded")] = None
+    json: Json = False
+
+    def run(self) -> int:
+        """Simulate, write the outputs, print the figures. Returns 0."""
+        import numpy as np
+
+        from neuroflight.sim.aircraft.model import load_aircraft
+        from neuroflight.sim.identification.bench.plan import joined
+        from neuroflight.sim.identification.bench.simulated import Noise, calibrated
+        from neuroflight.sim.identification.dyno.bench import KINDS
+        from neuroflight.sim.identification.dyno.recording import write_recording
+
+        _check_rows(self)
+        aircraft = load_aircraft(self.aircraft)
+        rng = np.random.default_rng(self.seed)
+        # One run has all experiments in a row; repeats are runs of one experiment each, as on the bench.
+        apart = self.repeats > 1 and self.experiment == "all"
+        kinds = KINDS if apart else (self.experiment,)
+        noise = Noise(self.noise / 100, self.noise_of == "reading", self.outliers / 100)
+        rig = calibrated(aircraft.propulsion, noise, rng) if self.sensors else None
+        runs: dict[str, list[Measured]] = {kind: [] for kind in kinds}
+        for _ in range(self.repeats):
+            for kind in kinds:
+                runs[kind].append(_measured(self, aircraft, kind, rig, noise, rng))
+        groups = {kind: [one.found for one in group] for kind, group in runs.items()}
+        in_turns = [one for turn in zip(*groups.values(), strict=True) for one in turn]
+        whole = in_turns[0] if len(in_turns) == 1 else joined(in_turns)
+        write_recording(self.out, whole)
+        if self.plot is not None:
+            _draw(self, self.plot, aircraft, groups)
+        found = None if rig is None else _found(rig, [one for group in runs.values() for one in group])
+        _print(self, aircraft, whole, found)
+        return 0
 
 
-def run(args: argparse.Namespace) -> int:
-    """Simulate, write the outputs, print the figures. Returns 0."""
-    import numpy as np
-
-    from neuroflight.sim.aircraft.model import load_aircraft
-    from neuroflight.sim.identification.bench.plan import joined
-    from neuroflight.sim.identification.bench.simulated import Noise, calibrated
-    from neuroflight.sim.identification.dyno.bench import KINDS
-    from neuroflight.sim.identification.dyno.recording import write_recording
-
-    _check(args)
-    aircraft = load_aircraft(args.aircraft)
-    rng = np.random.default_rng(args.seed)
-    # One run has all experiments in a row; repeats are runs of one experiment each, as the bench makes them.
-    apart = args.repeats > 1 and args.experiment == "all"
-    kinds = KINDS if apart else (args.experiment,)
-    noise = Noise(args.noise / 100, args.noise_of == "reading", args.outliers / 100)
-    rig = calibrated(aircraft.propulsion, noise, rng) if args.sensors else None
-    runs: dict[str, list[Measured]] = {kind: [] for kind in kinds}
-    for _ in range(args.repeats):
-        for kind in kinds:
-            runs[kind].append(_measured(args, aircraft, kind, rig, noise, rng))
-    groups = {kind: [one.found for one in group] for kind, group in runs.items()}
-    in_turns = [one for turn in zip(*groups.values(), strict=True) for one in turn]
-    whole = in_turns[0] if len(in_turns) == 1 else joined(in_turns)
-    write_recording(args.out, whole)
-    if args.plot:
-        _draw(args, aircraft, groups)
-    found = None if rig is None else _found(rig, [one for group in runs.values() for one in group])
-    _print(args, aircraft, whole, found)
-    return 0
-
-
-def _check(args: argparse.Namespace) -> None:
-    from neuroflight.sim.identification.dyno.bench import RATE_HZ_MAX, RATE_HZ_MIN, duration
+def _check_rows(args: Run) -> None:
+    from neuroflight.sim.identification.dyno.bench import duration
     from neuroflight.sim.identification.dyno.recording import ROWS_MAX
 
-    check_output(args.out, ".csv")
-    check_output(args.plot, ".png")
-    check_range("--rate-hz", args.rate_hz, RATE_HZ_MIN, RATE_HZ_MAX)
-    check_range("--noise", args.noise, 0, 100)
-    check_range("--outliers", args.outliers, 0, 50)
-    check_range("--seed", args.seed, 0, 2**63)
-    check_range("--repeats", args.repeats, 1, REPEATS_MAX)
-    if args.hold is not None:
-        check_range("--hold", args.hold, HOLD_MIN, HOLD_MAX)
     rows = args.repeats * duration(_experiment(args, args.experiment)) * args.rate_hz
     if rows > ROWS_MAX:
         raise NeuroflightError(
@@ -119,13 +119,7 @@ def _check(args: argparse.Namespace) -> None:
         )
 
 
-def check_range(name: str, value: float, low: float, high: float) -> None:
-    """Raise NeuroflightError where an option lies outside."""
-    if not low <= value <= high:  # NaN included
-        raise NeuroflightError(f"{name} {value:g}, expected {low:g} to {high:g}")
-
-
-def _experiment(args: argparse.Namespace, kind: str) -> tuple[Phase, ...]:
+def _experiment(args: Run, kind: str) -> tuple[Phase, ...]:
     from neuroflight.sim.identification.dyno.bench import EXPERIMENTS, RAMP, steps_held
 
     if args.hold is None or kind == "ramp":
@@ -135,7 +129,7 @@ def _experiment(args: argparse.Namespace, kind: str) -> tuple[Phase, ...]:
 
 
 def _measured(
-    args: argparse.Namespace,
+    args: Run,
     aircraft: Aircraft,
     kind: str,
     rig: Rig | None,
@@ -157,16 +151,16 @@ def _measured(
     )
 
 
-def _draw(args: argparse.Namespace, aircraft: Aircraft, groups: dict[str, list[Recording]]) -> None:
+def _draw(args: Run, path: Path, aircraft: Aircraft, groups: dict[str, list[Recording]]) -> None:
     if args.repeats == 1:
         from neuroflight.sim.identification.dyno.plot import save_recording_plot
 
         ((recording,),) = groups.values()
-        save_recording_plot(args.plot, recording, f"{aircraft.name}: dynamometer, {args.experiment}")
+        save_recording_plot(path, recording, f"{aircraft.name}: dynamometer, {args.experiment}")
         return
     from neuroflight.sim.identification.bench.plot import save_bench_plot
 
-    save_bench_plot(args.plot, groups, f"{aircraft.name}: simulated dynamometer, {args.repeats} repeats")
+    save_bench_plot(path, groups, f"{aircraft.name}: simulated dynamometer, {args.repeats} repeats")
 
 
 def _found(rig: Rig, runs: Sequence[Measured]) -> dict[str, Any]:
@@ -208,9 +202,7 @@ def _step(step: Step) -> dict[str, float]:
     }
 
 
-def _print(
-    args: argparse.Namespace, aircraft: Aircraft, recording: Recording, found: dict[str, Any] | None
-) -> None:
+def _print(args: Run, aircraft: Aircraft, recording: Recording, found: dict[str, Any] | None) -> None:
     from neuroflight.sim.identification.bench.summary import repeats
     from neuroflight.sim.identification.dyno.bench import HOLD_S, steps
 
@@ -229,7 +221,7 @@ def _print(
             "figures": repeats_document(repeated),
             "sensors": found,
         }
-        print(json.dumps(document, indent=2))
+        print_json(document)
         return
     title = f"{aircraft.name}: {len(recording.time)} rows in {args.out}"
     if repeated is None:
@@ -242,25 +234,22 @@ def _print(
 
 
 def _print_steps(title: str, steps: tuple[Step, ...]) -> None:
-    from rich.console import Console
-    from rich.text import Text
-
-    from neuroflight.cli.dyno.repeats import HEADINGS, heading_table
+    from neuroflight.cli.dyno.repeats import HEADINGS
 
     if not steps:
-        Console().print(Text(title))
+        print(title)
         return
-    table = heading_table(title, "step to", *HEADINGS[1:])
-    for step in steps:
-        row = _step(step)
-        table.add_row(
+    rows = [
+        (
             f"{100 * step.level:.0f} %",
             f"{1000 * step.rise:.0f}",
-            f"{row['rpm']:,.0f}",
+            f"{_step(step)['rpm']:,.0f}",
             f"{step.thrust:.3f}",
             f"{step.torque:.5f}",
         )
-    Console().print(table)
+        for step in steps
+    ]
+    print_table(title, [("step to", *HEADINGS[1:]), *rows])
 
 
 def _print_found(found: dict[str, Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from neuroflight.toolchain.errors import NeuroflightError
 from neuroflight.toolchain.files import replacing
 
 if TYPE_CHECKING:
+    from neuroflight.cli.fly.options import FlyOptions
     from neuroflight.sim.ports.port import Logged
 
 END = b"End of log\0"  # of Betaflight's last event
@@ -97,31 +97,15 @@ def _kept(path: Path) -> Iterator[Path]:
             raise _EmptyError
 
 
-def add_blackbox_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare the file of the log."""
-    parser.add_argument(
-        "--blackbox",
-        type=Path,
-        metavar="FILE.bbl",
-        help="keep the firmware's log of the flight, see docs/guides/logs.md; the emulated board sends it by "
-        "UART3, or, with --card, writes it to the card instead",
-    )
-
-
-def check_blackbox(args: argparse.Namespace) -> None:
+def check_blackbox(args: FlyOptions) -> None:
     """Refuse impossible options before anything is opened."""
-    from neuroflight.cli.output import check_output
-
     if args.blackbox is None:
         return
     if args.on == "betaflight":
-        raise NeuroflightError("--blackbox: Betaflight's own log is none of ours; leave it out")
+        args.refuse("blackbox", because="Betaflight's own log is none of ours; leave it out")
     if args.card is not None:
-        raise NeuroflightError(
-            "--blackbox: with --card the log goes to the card, where docs/guides/logs.md says how to get it; "
-            "leave --blackbox out"
-        )
-    check_output(args.blackbox, ".bbl")
+        where = "with --card the log goes to the card, where docs/guides/logs.md says how to get it"
+        args.refuse("blackbox", because=f"{where}; leave --blackbox out")
     changes = _changes(args)
     for name in SERIAL if args.on == "board" else ():
         if name in changes:
@@ -130,7 +114,7 @@ def check_blackbox(args: argparse.Namespace) -> None:
         raise NeuroflightError("--blackbox: got blackbox_device=none, expected a log; leave --set ... out")
 
 
-def emulated_settings(args: argparse.Namespace) -> dict[str, float]:
+def emulated_settings(args: FlyOptions) -> dict[str, float]:
     """Return the settings with which the emulated board sends its log."""
     if args.blackbox is None:
         return {}
@@ -138,13 +122,13 @@ def emulated_settings(args: argparse.Namespace) -> dict[str, float]:
     return {name: choices[name].index(choice) for name, choice in SERIAL.items()}
 
 
-def blackbox_baud(args: argparse.Namespace) -> int:
+def blackbox_baud(args: FlyOptions) -> int:
     """Return the speed of UART3 in this flight."""
     default = next(setting.default for setting in SETTINGS if setting.name == "blackbox_baud")
     return int(_changes(args).get("blackbox_baud", default))
 
 
-def _changes(args: argparse.Namespace) -> dict[str, float]:
+def _changes(args: FlyOptions) -> dict[str, float]:
     from neuroflight.flash.settings.values import parse_change
 
     return dict(parse_change(text) for text in args.set)

@@ -2,87 +2,34 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from neuroflight.cli.fly.blackbox import FlightLog, blackbox_baud
-from neuroflight.cli.image.emulated import GYROS as CHIPS
-from neuroflight.cli.image.emulated import (
-    UARTS,
-    Interrupt,
-    add_card_argument,
-    add_gyro_argument,
-    check_gdb,
-    open_end,
-    parse_serials,
-)
+from neuroflight.cli.fly.options import ESCS, STOPPED, OnBoard
+from neuroflight.cli.image.emulated import UARTS, Interrupt, check_gdb, open_end, parse_serials
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
+    from neuroflight.cli.fly.options import FlyOptions
     from neuroflight.sim.board.board import Board
     from neuroflight.sim.ports.emulator import EmulatedPort
     from neuroflight.sim.ports.emulator_report import EmulatedReport
 
-STOPPED = 3  # exit code of a flight with faults in which the firmware stopped the motors before the end
-ESCS = {"dshot300": 300, "dshot600": 600}
-OPTIONS: dict[str, object] = {  # and their defaults
-    "gyro": CHIPS[0],
-    "card": None,
-    "esc": None,
-    "fault": [],
-    "serial": None,
-    "gdb": None,
-    "profile": None,
-}
 SLICE = 216_000  # cycles between two checks of serial line and Ctrl-C, at most: 1 ms
 
 
-def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the emulated board."""
-    group = parser.add_argument_group("with --on board", "see docs/explanation/emulated-board.md")
-    add_gyro_argument(group)
-    add_card_argument(group)
-    group.add_argument(
-        "--esc",
-        choices=ESCS,
-        help="the speed that the ESCs are set to; default: what the setting motor_protocol says",
-    )
-    group.add_argument(
-        "--fault",
-        action="append",
-        default=[],
-        metavar="NAME[=VALUE]@SECONDS",
-        help="let something go wrong: gyro-silent, spi-bit-errors, brown-out, reset, flash-cut, crystal, "
-        "hang, processor-fault, motors-stuck, overload or receiver-broken; with --card also card-stall, "
-        "card-removed, card-errors, card-worn or card-slow; @boot: from power on. "
-        f"Exit code {STOPPED} if the motors stop before the end",
-    )
-    group.add_argument(
-        "--serial",
-        action="append",
-        metavar="[uart3=]pty|tcp[:PORT]",
-        help="lead USART1, where MSP is spoken, to other programs; uart3=...: UART3, with --set "
-        "uart3_function=msp",
-    )
-    group.add_argument(
-        "--gdb", type=int, metavar="PORT", help="wait for gdb on this port, at the first instruction"
-    )
-    group.add_argument("--profile", type=Path, metavar="DIR", help="write what the image executed into DIR")
-
-
-def check_emulator(args: argparse.Namespace) -> None:
+def check_emulator(args: FlyOptions) -> None:
     """Refuse impossible options before anything is opened."""
     if args.on != "board":
-        for name, default in OPTIONS.items():
-            if getattr(args, name) != default:
-                raise NeuroflightError(f"--{name}: only on the emulated board; add --on board")
+        names = (field.name for field in fields(OnBoard))
+        args.refuse(*names, because="only on the emulated board; add --on board")
         return
-    if "uart3" in parse_serials(args.serial or ()) and "uart3_function=msp" not in args.set:
+    if "uart3" in parse_serials(args.serial) and "uart3_function=msp" not in args.set:
         raise NeuroflightError(
             "--serial uart3: got a board whose UART3 is off, expected MSP there; add --set uart3_function=msp"
         )
@@ -94,11 +41,7 @@ def check_emulator(args: argparse.Namespace) -> None:
 
 
 def open_image(
-    args: argparse.Namespace,
-    image: Path,
-    settings: Mapping[str, float],
-    ends: ExitStack,
-    log: FlightLog | None,
+    args: FlyOptions, image: Path, settings: Mapping[str, float], ends: ExitStack, log: FlightLog | None
 ) -> EmulatedPort:
     """Return the image on a board of its own, to be closed by `ends`. log: of UART3, if any."""
     from neuroflight.sim.board.debug.fault_injection import parse_fault
@@ -125,7 +68,7 @@ def open_image(
 
 
 def attached(
-    args: argparse.Namespace, board: Board, image: Path, ends: ExitStack, log: FlightLog | None = None
+    args: FlyOptions, board: Board, image: Path, ends: ExitStack, log: FlightLog | None = None
 ) -> Callable[[int], None]:
     """Return a function that runs `board` with the debugger and the serial lines asked for; wait for gdb."""
     from neuroflight.flash.settings.values import parse_change
@@ -148,7 +91,7 @@ def attached(
         run_to = server.run_to
     interrupt = ends.enter_context(Interrupt(server))
     bridges = []
-    for name, serial in parse_serials(args.serial or ()).items():
+    for name, serial in parse_serials(args.serial).items():
         end = open_end(serial)
         baud = dict(parse_change(text) for text in args.set).get(bauds[name], MSP_BAUD_DEFAULT)
         bridges.append(Bridge(UartLine(board, UARTS[name], Format(baud)), end))
@@ -173,7 +116,7 @@ def emulator_document(report: EmulatedReport) -> dict[str, Any]:
     return {**asdict(report), "outcome": report.outcome}
 
 
-def exit_code(args: argparse.Namespace, report: EmulatedReport | None) -> int:
+def exit_code(args: FlyOptions, report: EmulatedReport | None) -> int:
     """Return STOPPED after faults that stopped the motors, else 0."""
     return STOPPED if args.fault and report is not None and report.stopped_s is not None else 0
 
@@ -232,10 +175,10 @@ def save_profile(directory: Path, board: Board) -> None:
     print(f"{directory}: {', '.join(names)}", file=sys.stderr)
 
 
-def keep_profile(args: argparse.Namespace, board: Board) -> None:
+def keep_profile(args: FlyOptions, board: Board) -> None:
     """Write the profile of a flight that ends in an error, if one was asked for."""
-    if args.profile is not None:
-        keep("profile", lambda: save_profile(args.profile, board))
+    if (folder := args.profile) is not None:
+        keep("profile", lambda: save_profile(folder, board))
 
 
 def keep(what: str, write: Callable[[], None]) -> None:

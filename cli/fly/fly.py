@@ -2,233 +2,98 @@
 
 from __future__ import annotations
 
-import argparse
-import json
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from pathlib import Path
+from collections.abc import Callable
+from contextlib import closing
 from typing import TYPE_CHECKING
 
-from neuroflight.cli.fly.blackbox import add_blackbox_argument, check_blackbox
-from neuroflight.cli.fly.emulator import (
-    add_emulator_arguments,
-    check_emulator,
-    emulator_words,
-    exit_code,
-    keep,
-    say,
-)
-from neuroflight.cli.fly.output import (
-    Flown,
-    conditions,
-    document,
-    print_flight,
-    print_several,
-    sentence,
-)
+from neuroflight.cli.fly.blackbox import check_blackbox
+from neuroflight.cli.fly.emulator import check_emulator, emulator_words, exit_code, keep, say
+from neuroflight.cli.fly.options import COUNT, COUNTED, FlyOptions
+from neuroflight.cli.fly.output import Flown, conditions, document, print_flight, print_several, sentence
 from neuroflight.cli.fly.ports import (
-    RECEIVERS,
     Entry,
+    built_betaflight,
     built_firmware,
     foreign_note,
     open_firmware,
     open_pid,
-    prepare,
-    quiet,
 )
-from neuroflight.cli.fly.telemetry import (
-    add_telemetry_arguments,
-    asks_telemetry,
-    check_telemetry,
-    save_telemetry,
-)
-from neuroflight.cli.fly.thrust import Thrust, add_throttle_argument, chosen_thrust
-from neuroflight.cli.log.reading import add_recording_arguments, header_lines, part
-from neuroflight.cli.options import ON, ON_HELP, machine
-from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
+from neuroflight.cli.fly.telemetry import asks_telemetry, save_telemetry
+from neuroflight.cli.fly.thrust import Thrust, chosen_thrust
+from neuroflight.cli.log.reading import header_lines
+from neuroflight.cli.progress import progress_bars
+from neuroflight.cli.report import print_json
 from neuroflight.toolchain.errors import NeuroflightError
 from neuroflight.toolchain.workers import Crew, Show, usable_cores
 
 if TYPE_CHECKING:
-    from rich.progress import TaskID
-
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.sim.flight.scenario import Scenario
     from neuroflight.sim.flight.trace import Trace
 
-MOUNTS = ("centre", "rig", "free")
-CONTROLLERS = ("policy", "pid")
 DEFAULT_AIRCRAFT = "nf1"
-COUNT, COUNTED = 10, ("flight", "pulses")  # commands, of these scenarios
 # Options that belong to one flight.
 OUTPUTS = ("trace", "plot", "telemetry", "telemetry_plot", "report", "blackbox")
 SINGLE = (*OUTPUTS, "profile", "gdb", "serial", "fault", "card")
-WIND_MAX = 50.0  # [m/s]; beyond any wind that such an aircraft could fly in
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of a flight and its outputs."""
-    parser.add_argument(
-        "--on",
-        type=machine,
-        choices=ON,
-        default="host",
-        help=f"what flies; default host. {ON_HELP}",
-    )
-    parser.add_argument(
-        "--build",
-        type=Path,
-        metavar="DIR",
-        help="the build to fly; default: build/HOST, with board build/MATEKF722, with betaflight "
-        "build/BETAFLIGHT",
-    )
-    parser.add_argument(
-        "--controller",
-        choices=CONTROLLERS,
-        default=CONTROLLERS[0],
-        help="what the pilot's switch chooses: the policy, or the PID that is built in beside it",
-    )
-    parser.add_argument(
-        "--scenario",
-        nargs="+",
-        default=["flight"],
-        metavar="NAME|FILE",
-        help="flight (ten commands and a hover, the default), pulse, pulses, roll, flip, turns, sticks, "
-        "freestyle, a .toml file, or a flight's recorded commands: a trace "
-        "(.npz), a table (.csv), a blackbox log (.bbl, .bfl, .txt; FILE:N for its log N); of several only "
-        "the firmware's flights, a row each",
-    )
-    add_recording_arguments(parser)
-    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and bias")
-    parser.add_argument(
-        "--count",
-        type=int,
-        metavar="N",
-        help=f"commands of `flight` and `pulses` ({COUNT})",
-    )
-    add_throttle_argument(parser)
-    parser.add_argument(
-        "--aircraft",
-        metavar="NAME|FILE",
-        help="whose twin is flown; default: the one that the firmware was built for",
-    )
-    parser.add_argument("--gyro-hz", type=int, choices=GYRO_RATES_HZ, default=GYRO_RATE_DEFAULT_HZ)
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="fly with this setting of the firmware, see docs/reference/settings.md",
-    )
-    parser.add_argument(
-        "--receiver", choices=RECEIVERS, default=RECEIVERS[0], help="what brings the pilot's sticks"
-    )
-    parser.add_argument("--mount", choices=MOUNTS, help="what holds the aircraft; default: the scenario's")
-    parser.add_argument(
-        "--battery",
-        type=float,
-        nargs="?",
-        const=1.0,
-        metavar="CHARGE",
-        help="fly on the aircraft's battery, charged so far, 0..1 (1); default: the bench supply",
-    )
-    parser.add_argument(
-        "--wind",
-        type=float,
-        nargs=3,
-        default=(0.0, 0.0, 0.0),
-        metavar=("NORTH", "WEST", "UP"),
-        help="where the air moves [m/s]",
-    )
-    parser.add_argument(
-        "--gust",
-        type=float,
-        default=0.0,
-        metavar="SPEED",
-        help="wind 20 feet above the ground whose turbulence is flown in [m/s]; 7.7 light, 15.4 moderate",
-    )
-    parser.add_argument("--ground", action="store_true", help="put ground below; with mount free only")
-    parser.add_argument("--trace", type=Path, metavar="FILE.npz", help="keep the firmware's flight")
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw it")
-    add_telemetry_arguments(parser)
-    parser.add_argument("--report", type=Path, metavar="FILE.html", help="plot and figures on one page")
-    add_blackbox_argument(parser)
-    parser.add_argument("--all", action="store_true", help="print every figure, not the five of most use")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    parser.add_argument(
-        "--jobs",
-        type=int,
-        metavar="N",
-        help="flights at a time, each in a process of its own; default: the computer's cores; they are the "
-        "same with any N",
-    )
-    add_emulator_arguments(parser)
+class Fly(FlyOptions):
+    """A request for a flight, or several."""
+
+    def run(self) -> int:
+        """Fly, write the outputs, print the figures. Returns 0, or STOPPED."""
+        from neuroflight.sim.aircraft.model import load_aircraft
+        from neuroflight.sim.analysis.flight_report import save_plot, save_report
+        from neuroflight.sim.flight.trace import save_trace
+
+        _check(self)
+        firmware = built_firmware(self)
+        known = None if firmware is None else firmware.aircraft
+        aircraft = load_aircraft(self.aircraft or (DEFAULT_AIRCRAFT if known is None else known.file))
+        if (note := foreign_note(self, firmware, aircraft)) is not None:
+            say(note)
+        thrust = chosen_thrust(self, aircraft, firmware)
+        scenarios = _scenarios(self, thrust)
+        if self.on == "betaflight":
+            built_betaflight(aircraft, self.build, quiet=self.json)
+        if len(scenarios) > 1:
+            return _run_several(self, aircraft, scenarios, thrust)
+        (scenario,) = scenarios
+        flown = _fly_all(self, aircraft, scenario)
+        flights = [one.flight for one in flown]
+        title = f"{aircraft.name}: {scenario.name}, seed {self.seed}"
+        note = ", ".join(conditions(self, scenario, thrust, flown[0].refused))
+        verdict = sentence(scenario, thrust, flown)
+        try:
+            if self.trace:
+                save_trace(self.trace, flights[0].trace)
+            if self.plot:
+                save_plot(self.plot, flights, title)
+            save_telemetry(self, flown[0].esc, flights[0].trace.control_rate_hz, title)
+            if self.report:
+                words = f"{note}{emulator_words(flown[0].report)}. {verdict}"
+                save_report(self.report, flights, title, words)
+        finally:  # print the figures even if an output file cannot be written
+            if self.json:
+                print_json(document(self, aircraft, scenario, thrust, flown))
+            else:
+                print_flight(title, note, flown, verdict, every=self.all)
+        return exit_code(self, flown[0].report)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Fly, write the outputs, print the figures. Returns 0, or STOPPED."""
-    from neuroflight.sim.aircraft.model import load_aircraft
-    from neuroflight.sim.analysis.flight_report import save_plot, save_report
-    from neuroflight.sim.flight.trace import save_trace
-
-    _check(args)
-    firmware = built_firmware(args)
-    known = None if firmware is None else firmware.aircraft
-    aircraft = load_aircraft(args.aircraft or (DEFAULT_AIRCRAFT if known is None else known.file))
-    if (note := foreign_note(args, firmware, aircraft)) is not None:
-        say(note)
-    thrust = chosen_thrust(args, aircraft, firmware)
-    scenarios = _scenarios(args, thrust)
-    prepare(args, aircraft)
-    if len(scenarios) > 1:
-        return _run_several(args, aircraft, scenarios, thrust)
-    (scenario,) = scenarios
-    flown = _fly_all(args, aircraft, scenario)
-    flights = [one.flight for one in flown]
-    title = f"{aircraft.name}: {scenario.name}, seed {args.seed}"
-    note = ", ".join(conditions(args, scenario, thrust, flown[0].refused))
-    verdict = sentence(scenario, thrust, flown)
-    try:
-        if args.trace:
-            save_trace(args.trace, flights[0].trace)
-        if args.plot:
-            save_plot(args.plot, flights, title)
-        save_telemetry(args, flown[0].esc, flights[0].trace.control_rate_hz, title)
-        if args.report:
-            words = f"{note}{emulator_words(flown[0].report)}. {verdict}"
-            save_report(args.report, flights, title, words)
-    finally:  # print the figures even if an output file cannot be written
-        if args.json:
-            print(json.dumps(document(args, aircraft, scenario, thrust, flown), indent=2))
-        else:
-            print_flight(title, note, flown, verdict, every=args.all)
-    return exit_code(args, flown[0].report)
-
-
-def _check(args: argparse.Namespace) -> None:
+def _check(args: FlyOptions) -> None:
     """Check scenarios and output files before anything is loaded."""
-    from neuroflight.cli.output import check_output
-
-    for path, suffix in ((args.trace, ".npz"), (args.plot, ".png"), (args.report, ".html")):
-        check_output(path, suffix)
-    check_telemetry(args)
-    _check_air(args)
     check_emulator(args)
     check_blackbox(args)
-    if args.jobs is not None and args.jobs < 1:
-        raise NeuroflightError(f"--jobs: got {args.jobs}, expected at least 1")
-    if args.on == "betaflight" and args.set:
-        raise NeuroflightError("--set: Betaflight has settings of its own; leave it out")
-    if args.on == "betaflight" and args.receiver != RECEIVERS[0]:
-        raise NeuroflightError("--receiver: Betaflight takes the sticks from the simulator; leave it out")
+    if args.on == "betaflight":
+        args.refuse("set", because="Betaflight has settings of its own; leave it out")
+        args.refuse("receiver", because="Betaflight takes the sticks from the simulator; leave it out")
+        args.refuse("controller", because="Betaflight flies its own PID; leave it out")
     if len(args.scenario) > 1:
-        for name in SINGLE:
-            if getattr(args, name) not in (None, []):
-                option = name.replace("_", "-")
-                raise NeuroflightError(f"--{option}: belongs to one flight; give one scenario")
+        args.refuse(*SINGLE, because="belongs to one flight; give one scenario")
 
 
-def _scenarios(args: argparse.Namespace, thrust: Thrust) -> list[Scenario]:
+def _scenarios(args: FlyOptions, thrust: Thrust) -> list[Scenario]:
     """Return the scenarios, in the order of flight."""
     from neuroflight.sim.physics.world import Mount
     from neuroflight.sim.recorded.files import load_flight
@@ -238,7 +103,7 @@ def _scenarios(args: argparse.Namespace, thrust: Thrust) -> list[Scenario]:
     count = COUNT if args.count is None else args.count
     mount = None if args.mount is None else Mount(args.mount)
     throttle = thrust.value or 0.0
-    taken, told = part(args), header_lines(args)
+    taken, told = args.part, header_lines(args)
     scenarios = []
     for name in args.scenario:
         scenario, warnings = load_flight(
@@ -248,8 +113,6 @@ def _scenarios(args: argparse.Namespace, thrust: Thrust) -> list[Scenario]:
         for words in warnings:
             say(words)
     if args.controller == "pid":
-        if args.on == "betaflight":
-            raise NeuroflightError("--controller: Betaflight flies its own PID; leave it out")
         scenarios = [scenario.under_pid() for scenario in scenarios]
     for scenario in scenarios:
         if scenario.by_eye and not args.ground:
@@ -262,62 +125,44 @@ def _scenarios(args: argparse.Namespace, thrust: Thrust) -> list[Scenario]:
     return scenarios
 
 
-def _run_several(
-    args: argparse.Namespace, aircraft: Aircraft, scenarios: list[Scenario], thrust: Thrust
-) -> int:
+def _run_several(args: FlyOptions, aircraft: Aircraft, scenarios: list[Scenario], thrust: Thrust) -> int:
     """Fly each scenario with the firmware, and print one table."""
     tasks = [_task(args, aircraft, scenario) for scenario in scenarios]
     names = [scenario.name for scenario in scenarios]
     flown = []
     if (jobs := _jobs(args)) == 1:
         for name, task in zip(names, tasks, strict=True):
-            with _bar(args) as show:
+            with progress_bars(args.json) as show:
                 flown.append(task(show(name)))
     else:
         import neuroflight.sim.physics.twin  # noqa: F401 - once, before the processes are forked
 
-        with Crew(tasks, jobs) as crew, _bar(args) as show:
+        with Crew(tasks, jobs) as crew, progress_bars(args.json) as show:
             flown = crew.results([show(name) for name in names])
     if args.json:
         documents = [
             document(args, aircraft, scenario, thrust, [one])
             for scenario, one in zip(scenarios, flown, strict=True)
         ]
-        print(json.dumps(documents, indent=2))
+        print_json(documents)
     else:
         print_several(f"{aircraft.name}, seed {args.seed}", args, scenarios, thrust, flown)
     return 0
 
 
-def _task(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -> Callable[[Show], Flown]:
+def _task(args: FlyOptions, aircraft: Aircraft, scenario: Scenario) -> Callable[[Show], Flown]:
     """Return a function that flies `scenario` with the firmware from its boot on."""
     return lambda show: _fly(args, aircraft, scenario, open_firmware(args, aircraft), show)
 
 
-def _jobs(args: argparse.Namespace) -> int:
+def _jobs(args: FlyOptions) -> int:
     """Return the number of flights at a time; one where a debugger, serial line or profile is on."""
-    if any(getattr(args, name) is not None for name in ("gdb", "serial", "profile")):
+    if args.given("gdb", "serial", "profile"):
         return 1
-    return usable_cores() if args.jobs is None else int(args.jobs)
+    return usable_cores() if args.jobs is None else args.jobs
 
 
-@contextmanager
-def _bar(args: argparse.Namespace) -> Iterator[Callable[[str], Show]]:
-    """Show the progress of flights by name, on a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description:<10}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet(args)) as progress:
-
-        def begin(name: str) -> Show:
-            task: TaskID = progress.add_task(name, total=1.0)
-            return lambda part: progress.update(task, completed=part)
-
-        yield begin
-
-
-def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -> list[Flown]:
+def _fly_all(args: FlyOptions, aircraft: Aircraft, scenario: Scenario) -> list[Flown]:
     """Fly the firmware, and beside it the PID if the aircraft has gains for one."""
     import neuroflight.sim.physics.twin  # noqa: F401 - once, before a process is forked
 
@@ -329,10 +174,10 @@ def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -
             return _fly(args, aircraft, scenario, open_pid(args, aircraft, rate_hz), show)
 
         if not aircraft.pids or _jobs(args) == 1:
-            with _bar(args) as show:
+            with progress_bars(args.json) as show:
                 flown = [_fly(args, aircraft, scenario, firmware, show(firmware.name))]
                 return [*flown, beside(show("PID"))] if aircraft.pids else flown
-        with Crew([beside], 1) as crew, _bar(args) as show:
+        with Crew([beside], 1) as crew, progress_bars(args.json) as show:
             here, there = show(firmware.name), show("PID")
 
             def both(part: float) -> None:
@@ -343,13 +188,7 @@ def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -
             return [_fly(args, aircraft, scenario, firmware, both), *crew.results([there])]
 
 
-def _fly(
-    args: argparse.Namespace,
-    aircraft: Aircraft,
-    scenario: Scenario,
-    entry: Entry,
-    progress: Show,
-) -> Flown:
+def _fly(args: FlyOptions, aircraft: Aircraft, scenario: Scenario, entry: Entry, progress: Show) -> Flown:
     """Fly once in a fresh twin of the seed, and close the port."""
     import numpy as np
 
@@ -367,22 +206,24 @@ def _fly(
 
     def broken_off(trace: Trace) -> None:
         """Write the trace up to an error, if it was asked for."""
+        if (path := args.trace) is None or not entry.kept:
+            return
 
         def write() -> None:
-            save_trace(args.trace, trace)
+            save_trace(path, trace)
             length = len(trace.t) / entry.port.control_rate_hz
-            say(f"{args.trace}: {length:.3f} of {scenario.duration_s:g} s, up to the error")
+            say(f"{path}: {length:.3f} of {scenario.duration_s:g} s, up to the error")
 
-        if args.trace is not None and entry.kept:
-            keep("trace", write)
+        keep("trace", write)
 
+    north, west, up = args.wind
     with closing(entry):
         twin = Twin(
             aircraft,
             rate_hz=args.gyro_hz,
             mount=scenario.mount,
             charge=args.battery,
-            wind=tuple(args.wind),
+            wind=(north, west, up),
             gust=args.gust,
             ground=args.ground,
             rng=rng,
@@ -430,14 +271,3 @@ def _fly(
     by_eye = stick_figures(scenario, motion, entry.port.control_rate_hz) if scenario.by_eye else None
     topics = esc.topics if asks_telemetry(args) else None
     return Flown(flight, report, log, by_eye, topics, refused.name if refused else None)
-
-
-def _check_air(args: argparse.Namespace) -> None:
-    """Check the ranges of battery, wind and gust."""
-    if args.battery is not None and not 0.0 <= args.battery <= 1.0:
-        raise NeuroflightError(f"--battery: got {args.battery:g}, expected a charge of 0 to 1")
-    if not all(abs(speed) <= WIND_MAX for speed in args.wind):
-        wind = " ".join(f"{speed:g}" for speed in args.wind)
-        raise NeuroflightError(f"--wind: got {wind}, expected at most {WIND_MAX:g} m/s each way")
-    if not 0.0 <= args.gust <= WIND_MAX:
-        raise NeuroflightError(f"--gust: got {args.gust:g}, expected 0 to {WIND_MAX:g} m/s")

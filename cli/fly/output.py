@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from neuroflight.cli.report import print_table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from neuroflight.cli.fly.options import FlyOptions
     from neuroflight.cli.fly.telemetry import Topics
     from neuroflight.cli.fly.thrust import Thrust
     from neuroflight.sim.aircraft.model import Aircraft
@@ -49,9 +49,7 @@ class Flown:
     refused: str | None = None  # why the policy had to leave the flight to the PID
 
 
-def conditions(
-    args: argparse.Namespace, scenario: Scenario, thrust: Thrust, refused: str | None = None
-) -> list[str]:
+def conditions(args: FlyOptions, scenario: Scenario, thrust: Thrust, refused: str | None = None) -> list[str]:
     """Return the conditions of the flight, in words. refused: why the policy was refused, if it was."""
     words = [f"{scenario.duration_s:g} s", f"mount {scenario.mount.value}", f"gyro {args.gyro_hz} Hz"]
     if thrust.value is not None:
@@ -83,7 +81,7 @@ def _cause(name: str) -> str:
 
 
 def document(
-    args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario, thrust: Thrust, flown: list[Flown]
+    args: FlyOptions, aircraft: Aircraft, scenario: Scenario, thrust: Thrust, flown: list[Flown]
 ) -> dict[str, Any]:
     """Return the JSON document of one scenario."""
     from neuroflight.cli.output import plain
@@ -191,12 +189,12 @@ def print_flight(title: str, note: str, flown: list[Flown], verdict: str, *, eve
     if by_eye := _stick_rows(flown):
         print_table("", by_eye)
     if rows := [*log_rows(flown[0].log), *([] if report is None else emulator_rows(report))]:
-        print_table("", [("", ""), *rows], "", left=True)
+        print_table("", [("", ""), *rows], "", numbers=())
     print(f"\n{verdict}")
 
 
 def print_several(
-    title: str, args: argparse.Namespace, scenarios: list[Scenario], thrust: Thrust, flown: list[Flown]
+    title: str, args: FlyOptions, scenarios: list[Scenario], thrust: Thrust, flown: list[Flown]
 ) -> None:
     """Print a row for each flight, the part of the emulated board's report that all share, the verdict."""
     from neuroflight.sim.analysis.flight_verdict import verdict_of_several

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -14,9 +13,11 @@ from typing import TYPE_CHECKING
 
 from neuroflight.cli.fly.blackbox import FlightLog, emulated_settings
 from neuroflight.cli.fly.emulator import keep_profile, open_image, save_profile
+from neuroflight.cli.fly.options import RECEIVERS
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
+    from neuroflight.cli.fly.options import FlyOptions
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.sim.flight.scenario import Scenario
     from neuroflight.sim.ports.betaflight.build import Betaflight
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from neuroflight.toolchain.image.report import Built
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
-RECEIVERS = ("sbus", "crsf")  # in the order of the setting's choices
 BY_OPTION = {"gyro_rate_hz": "--gyro-hz", "receiver_protocol": "--receiver"}  # settings that have one
 BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
 
@@ -62,14 +62,14 @@ class Entry:
             self.log.close()
 
 
-def _product(args: argparse.Namespace) -> Path:
+def _product(args: FlyOptions) -> Path:
     """Return the file of the build that is flown."""
     if args.on == "board":
         return Path(args.build or BOARD) / "neuroflight.bin"
     return Path(args.build or BUILD) / ("neuroflight" if args.on == "host" else "libneuroflight.so")
 
 
-def built_firmware(args: argparse.Namespace) -> Built | None:
+def built_firmware(args: FlyOptions) -> Built | None:
     """Return the report of the build of the firmware that is to fly; None: not known, or Betaflight."""
     from neuroflight.toolchain.errors import BuildError
     from neuroflight.toolchain.image.report import built
@@ -82,7 +82,7 @@ def built_firmware(args: argparse.Namespace) -> Built | None:
         return None  # opening the build raises the error
 
 
-def foreign_note(args: argparse.Namespace, firmware: Built | None, aircraft: Aircraft) -> str | None:
+def foreign_note(args: FlyOptions, firmware: Built | None, aircraft: Aircraft) -> str | None:
     """Return a line where the firmware's controller is for another aircraft than the one that is flown."""
     from neuroflight.sim.aircraft.identity import other_aircraft_note
 
@@ -97,7 +97,7 @@ def foreign_note(args: argparse.Namespace, firmware: Built | None, aircraft: Air
     return other_aircraft_note(what, name, sha256, aircraft)
 
 
-def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
+def open_firmware(args: FlyOptions, aircraft: Aircraft) -> Entry:
     """Boot the firmware that `--on` names."""
     log = FlightLog(args.blackbox) if args.blackbox is not None or args.card is not None else None
     try:
@@ -108,7 +108,7 @@ def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
         raise
 
 
-def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog | None) -> Entry:
+def _open_firmware(args: FlyOptions, aircraft: Aircraft, log: FlightLog | None) -> Entry:
     from neuroflight.flash.settings.values import check_known, parse_change
     from neuroflight.sim.ports.host import HostPort
     from neuroflight.sim.ports.library import ReferencePort
@@ -156,7 +156,7 @@ def _names(product: Path) -> tuple[str, str]:
     return policy_label(found.policy_file), f"firmware's PID {found.pid}"
 
 
-def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int) -> Entry:
+def open_pid(args: FlyOptions, aircraft: Aircraft, control_rate_hz: int) -> Entry:
     """Return the aircraft's PID in the firmware's control path."""
     from neuroflight.sim.control.pid import aircraft_pid
     from neuroflight.sim.control.pid_table import pid_settings
@@ -176,12 +176,7 @@ def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int)
     return Entry(name, port, settings.idle, settings.mix, kept=False)
 
 
-def quiet(args: argparse.Namespace) -> bool:
-    """Return True where no progress is shown: JSON output or no terminal."""
-    return bool(args.json) or not sys.stderr.isatty()
-
-
-def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: FlightLog | None) -> Entry:
+def _open_emulator(args: FlyOptions, settings: dict[str, float], log: FlightLog | None) -> Entry:
     """Return the image on a board of its own."""
     from neuroflight.sim.ports.emulator_report import emulated_report
     from neuroflight.toolchain.image.report import built_motors
@@ -219,13 +214,7 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: Fl
         )
 
 
-def prepare(args: argparse.Namespace, aircraft: Aircraft) -> None:
-    """Build Betaflight if it will fly and is not there, see `built_betaflight`."""
-    if args.on == "betaflight":
-        built_betaflight(args, aircraft)
-
-
-def built_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Betaflight:
+def built_betaflight(aircraft: Aircraft, folder: Path | None, *, quiet: bool) -> Betaflight:
     """Return Betaflight, built unless it is there; each stage of the build is printed to stderr.
 
     Raises AircraftError if Betaflight cannot fly the aircraft.
@@ -237,18 +226,18 @@ def built_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Betaflight
 
     aircraft_settings(aircraft)
     console = Console(stderr=True)
-    with nullcontext() if quiet(args) else console.status("Betaflight") as status:
+    with nullcontext() if quiet or not sys.stderr.isatty() else console.status("Betaflight") as status:
 
         def say(stage: str) -> None:
             console.print(f"Betaflight is not built yet, once: {stage}", highlight=False)
             if status is not None:
                 status.update(stage)
 
-        return build_betaflight(args.build or BETAFLIGHT, say)
+        return build_betaflight(folder or BETAFLIGHT, say)
 
 
-def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
-    """Start Betaflight, which `prepare` has built."""
+def _open_betaflight(args: FlyOptions, aircraft: Aircraft) -> Entry:
+    """Start Betaflight, which is built."""
     from neuroflight.sim.ports.betaflight.build import build_betaflight
     from neuroflight.sim.ports.betaflight.port import IDLE, BetaflightPort, aircraft_settings
 

@@ -2,43 +2,24 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from neuroflight.cli.fly.options import FlyOptions
+
     Topics = dict[str, NDArray[np.float64]]
 
 
-def add_telemetry_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the table and the picture."""
-    parser.add_argument(
-        "--telemetry",
-        type=Path,
-        metavar="FILE.csv",
-        help="keep what its ESCs tell: speed, temperature, voltage, current, force and torque of each",
-    )
-    parser.add_argument("--telemetry-plot", type=Path, metavar="FILE.png", help="draw that")
-
-
-def check_telemetry(args: argparse.Namespace) -> None:
-    """Check the output files."""
-    from neuroflight.cli.output import check_output
-
-    check_output(args.telemetry, ".csv")
-    check_output(args.telemetry_plot, ".png")
-
-
-def asks_telemetry(args: argparse.Namespace) -> bool:
+def asks_telemetry(args: FlyOptions) -> bool:
     """Return True if an output needs the telemetry of the ESCs."""
     return args.telemetry is not None or args.telemetry_plot is not None
 
 
-def save_telemetry(args: argparse.Namespace, topics: Topics | None, control_rate_hz: int, title: str) -> None:
+def save_telemetry(args: FlyOptions, topics: Topics | None, control_rate_hz: int, title: str) -> None:
     """Write the outputs that the user asked for."""
     if topics is None:
         return

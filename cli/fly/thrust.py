@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ from neuroflight.toolchain.contract import IDLE_DEFAULT
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
+    from neuroflight.cli.fly.options import FlyOptions
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.toolchain.image.report import Built
 
@@ -29,18 +29,7 @@ class Thrust:
         return " with the throttle closed" if self.value == 0.0 else f" at throttle {self.value:g}"
 
 
-def add_throttle_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare the option."""
-    parser.add_argument(
-        "--throttle",
-        type=float,
-        metavar="T",
-        help="of flight, pulse, pulses, roll, flip and turns, 0..1; default: what holds the aircraft's "
-        "weight; 0: closed, as the dissertation flew",
-    )
-
-
-def chosen_thrust(args: argparse.Namespace, aircraft: Aircraft, firmware: Built | None) -> Thrust:
+def chosen_thrust(args: FlyOptions, aircraft: Aircraft, firmware: Built | None) -> Thrust:
     """Return the throttle that the user says, or the one that holds the weight.
 
     firmware: what was built, if that is known. Raises NeuroflightError where neither can be.
@@ -51,8 +40,6 @@ def chosen_thrust(args: argparse.Namespace, aircraft: Aircraft, firmware: Built 
     if args.throttle is not None:
         if own := next((name for name in args.scenario if name not in AT_THROTTLE), None):
             raise NeuroflightError(f"--throttle: scenario {own} has a throttle of its own; leave it out")
-        if not 0.0 <= args.throttle <= 1.0:
-            raise NeuroflightError(f"--throttle: got {args.throttle:g}, expected 0 to 1")
         return Thrust(args.throttle)
     if not any(name in AT_THROTTLE for name in args.scenario):
         return Thrust(None)
@@ -65,7 +52,7 @@ def chosen_thrust(args: argparse.Namespace, aircraft: Aircraft, firmware: Built 
     return Thrust(round(found, 3), holds=True)  # a stick has 1,000 steps
 
 
-def _idle(args: argparse.Namespace, firmware: Built | None) -> float:
+def _idle(args: FlyOptions, firmware: Built | None) -> float:
     """Return the motor fraction of armed motors at no thrust; the usual where the build does not tell."""
     from neuroflight.sim.ports.betaflight.port import IDLE
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from neuroflight.cli.image.checked import add_argument, checked
+from neuroflight.cli.image.checked import Unchecked, checked
+from neuroflight.cli.report import print_json
+from neuroflight.cli.requests import Either, Option, Request
 
 if TYPE_CHECKING:
     from neuroflight.sim.control.pid_table import Beside
@@ -19,80 +20,126 @@ POLICIES = ROOT / "training" / "policies"
 DEFAULT_AIRCRAFT = "nf1"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--target", default="MATEKF722", help="MATEKF722 (default) or HOST")
-    parser.add_argument(
-        "--policy",
-        type=Path,
-        metavar="POLICY.onnx",
-        help=f"default: the shipped policy of the aircraft, without --aircraft of the {DEFAULT_AIRCRAFT}",
-    )
-    parser.add_argument(
-        "--aircraft",
-        metavar="NAME|FILE",
-        help="that the policy was trained on, whose PID is built in beside it; needed where it is "
-        "no shipped one",
-    )
-    parser.add_argument(
-        "--other-aircraft", action="store_true", help="--aircraft is meant, though the policy is another's"
-    )
-    parser.add_argument(
-        "--no-pid",
-        action="store_true",
-        help="build in no PID: where the policy must not fly on, the motors stop",
-    )
-    parser.add_argument(
-        "--again",
-        action="store_true",
-        help="of the policy and aircraft that the target was built of last; the first time, of the default",
-    )
-    add_argument(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="instead of build/ and firmware/generated/")
-    told = parser.add_mutually_exclusive_group()
-    told.add_argument("--json", action="store_true", help="print the report as JSON")
-    told.add_argument("--brief", action="store_true", help="print one line instead of the report")
+TOLD = Either()
 
 
-def run(args: argparse.Namespace) -> int:
-    """Build and print the report; output of the compiler is shown only when it failed."""
-    from rich.console import Console
+@dataclass(frozen=True, kw_only=True)
+class Build(Request):
+    """A request for a firmware image, or the host program."""
 
-    from neuroflight.cli.output import check_folder
-    from neuroflight.sim.control.pid_table import beside
-    from neuroflight.toolchain.errors import PolicyError
-    from neuroflight.toolchain.image.build import MakeError, build, find_target
-    from neuroflight.toolchain.image.report import print_report, summary
-    from neuroflight.toolchain.policy.model import read_policy
+    target: Annotated[str, Option("TARGET", "MATEKF722 (default) or HOST")] = "MATEKF722"
+    policy: Annotated[
+        Path | None,
+        Option(
+            "POLICY.onnx",
+            f"default: the shipped policy of the aircraft, without --aircraft of the {DEFAULT_AIRCRAFT}",
+        ),
+    ] = None
+    aircraft: Annotated[
+        str | None,
+        Option(
+            "NAME|FILE",
+            "that the policy was trained on, whose PID is built in beside it; needed where it is "
+            "no shipped one",
+        ),
+    ] = None
+    other_aircraft: Annotated[bool, Option(None, "--aircraft is meant, though the policy is another's")] = (
+        False
+    )
+    no_pid: Annotated[
+        bool, Option(None, "build in no PID: where the policy must not fly on, the motors stop")
+    ] = False
+    again: Annotated[
+        bool,
+        Option(
+            None,
+            "of the policy and aircraft that the target was built of last; the first time, of the default",
+        ),
+    ] = False
+    unchecked: Unchecked = False
+    out: Annotated[Path | None, Option("DIR", "instead of build/ and firmware/generated/")] = None
+    json: Annotated[bool, Option(None, "print the report as JSON", either=TOLD)] = False
+    brief: Annotated[bool, Option(None, "print one line instead of the report", either=TOLD)] = False
 
-    target = find_target(args.target)
-    check_folder(args.out or ROOT / "build", "--out")
-    if args.out is None:
-        check_folder(ROOT / "firmware" / "generated", "--out")
-    last = _last((args.out or ROOT / "build") / target.name / target.products[0])
-    if args.again:
-        _take_up(args, last)
-    path = _policy(args, last)
-    if not path.exists():
-        of = f" --aircraft {args.aircraft}" if args.aircraft else ""
-        raise PolicyError(
-            f"policy {path}: no such file; `neuroflight policy train{of} --out {path.parent}` makes one, "
-            "or name another with --policy"
-        )
-    policy = read_policy(path)
-    stands = beside(policy, str(path), args.aircraft, other=args.other_aircraft, no_pid=args.no_pid)
-    stamp = checked(path, policy, target, stands, unchecked=args.unchecked)
-    try:
-        report = build(args.target, path, ROOT, args.out, stands.pid, _facts(stands), check=stamp)
-    except MakeError as error:
-        print(error.output, file=sys.stderr)
-        raise
-    if args.json:
-        print(json.dumps(report.document(), indent=2))
-    elif args.brief:
-        print(summary(report))
-    else:
-        print_report(report, Console())
-    return 0
+    def run(self) -> int:
+        """Build and print the report; output of the compiler is shown only when it failed."""
+        from rich.console import Console
+
+        from neuroflight.cli.output import check_folder
+        from neuroflight.sim.control.pid_table import beside
+        from neuroflight.toolchain.errors import PolicyError
+        from neuroflight.toolchain.image.build import MakeError, build, find_target
+        from neuroflight.toolchain.image.report import print_report, summary
+        from neuroflight.toolchain.policy.model import read_policy
+
+        target = find_target(self.target)
+        check_folder(self.out or ROOT / "build", "--out")
+        if self.out is None:
+            check_folder(ROOT / "firmware" / "generated", "--out")
+        last = _last((self.out or ROOT / "build") / target.name / target.products[0])
+        asked = self._as_last(last) if self.again else self
+        path = asked._policy(last)
+        if not path.exists():
+            of = f" --aircraft {asked.aircraft}" if asked.aircraft else ""
+            raise PolicyError(
+                f"policy {path}: no such file; `neuroflight policy train{of} --out {path.parent}` makes one, "
+                "or name another with --policy"
+            )
+        policy = read_policy(path)
+        stands = beside(policy, str(path), asked.aircraft, other=asked.other_aircraft, no_pid=asked.no_pid)
+        stamp = checked(path, policy, target, stands, unchecked=self.unchecked)
+        try:
+            report = build(self.target, path, ROOT, self.out, stands.pid, _facts(stands), check=stamp)
+        except MakeError as error:
+            print(error.output, file=sys.stderr)
+            raise
+        if self.json:
+            print_json(report.document())
+        elif self.brief:
+            print(summary(report))
+        else:
+            print_report(report, Console())
+        return 0
+
+    def _as_last(self, last: Built | None) -> Build:
+        """Return the request with the policy and the aircraft of the last build, and say which."""
+        from neuroflight.toolchain.errors import BuildError
+
+        if self.policy is not None or self.aircraft is not None or self.other_aircraft or self.no_pid:
+            raise BuildError("--again: got a policy or an aircraft beside it; give them, or --again alone")
+        if last is None:
+            return self
+        asked, words = replace(self, policy=Path(last.policy_file)), ""
+        usual = Path(last.policy_file).resolve() == default_policy(DEFAULT_AIRCRAFT)
+        if (aircraft := last.aircraft) is not None:
+            no_pid = last.pid_motors is None
+            asked = replace(asked, aircraft=aircraft.file, other_aircraft=not aircraft.own, no_pid=no_pid)
+            words = f", aircraft {aircraft.file}{', no PID' if no_pid else ''}"
+            usual &= aircraft.file == DEFAULT_AIRCRAFT and not no_pid
+        if not usual:
+            print(f"as {self.target} was built last: policy {asked.policy}{words}", file=sys.stderr)
+        return asked
+
+    def _policy(self, last: Built | None) -> Path:
+        """Return the policy to build in; say so where it is the default and was another until now."""
+        from neuroflight.toolchain.errors import PolicyError
+
+        if self.policy is not None:
+            return self.policy
+        path = default_policy(self.aircraft or DEFAULT_AIRCRAFT)
+        if not path.is_file():
+            raise PolicyError(
+                f"no policy ships for aircraft {self.aircraft}: name one with --policy; `neuroflight policy "
+                f"train --aircraft {self.aircraft} --out DIR` makes one"
+            )
+        if last is not None and Path(last.policy_file).resolve() != path:
+            print(
+                f"no policy is named: building the shipped one of {path.parent.name}, until now "
+                f"{self.target} had {last.policy_file}",
+                file=sys.stderr,
+            )
+        here = Path.cwd()
+        return path.relative_to(here) if path.is_relative_to(here) else path
 
 
 def _last(product: Path) -> Built | None:
@@ -104,47 +151,6 @@ def _last(product: Path) -> Built | None:
         return built(product)
     except BuildError:
         return None
-
-
-def _take_up(args: argparse.Namespace, last: Built | None) -> None:
-    """Give `args` the policy and the aircraft of the last build, and say which."""
-    from neuroflight.toolchain.errors import BuildError
-
-    if args.policy is not None or args.aircraft is not None or args.other_aircraft or args.no_pid:
-        raise BuildError("--again: got a policy or an aircraft beside it; give them, or --again alone")
-    if last is None:
-        return
-    args.policy, words = Path(last.policy_file), ""
-    usual = args.policy.resolve() == default_policy(DEFAULT_AIRCRAFT)
-    if (aircraft := last.aircraft) is not None:
-        args.aircraft, args.other_aircraft = aircraft.file, not aircraft.own
-        args.no_pid = last.pid_motors is None
-        words = f", aircraft {aircraft.file}{', no PID' if args.no_pid else ''}"
-        usual &= aircraft.file == DEFAULT_AIRCRAFT and not args.no_pid
-    if not usual:
-        print(f"as {args.target} was built last: policy {args.policy}{words}", file=sys.stderr)
-
-
-def _policy(args: argparse.Namespace, last: Built | None) -> Path:
-    """Return the policy to build in; say so where it is the default and was another until now."""
-    from neuroflight.toolchain.errors import PolicyError
-
-    if args.policy is not None:
-        return Path(args.policy)
-    path = default_policy(args.aircraft or DEFAULT_AIRCRAFT)
-    if not path.is_file():
-        raise PolicyError(
-            f"no policy ships for aircraft {args.aircraft}: name one with --policy; `neuroflight policy "
-            f"train --aircraft {args.aircraft} --out DIR` makes one"
-        )
-    if last is not None and Path(last.policy_file).resolve() != path:
-        print(
-            f"no policy is named: building the shipped one of {path.parent.name}, until now "
-            f"{args.target} had {last.policy_file}",
-            file=sys.stderr,
-        )
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_relative_to(here) else path
 
 
 def default_policy(aircraft: str) -> Path:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from neuroflight.cli.requests import Option
 
 if TYPE_CHECKING:
     from neuroflight.sim.control.pid_table import Beside
@@ -13,13 +14,12 @@ if TYPE_CHECKING:
     from neuroflight.toolchain.policy.model import PolicyModel
 
 
-def add_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare the option."""
-    parser.add_argument(
-        "--unchecked",
-        action="store_true",
-        help="build an image though no `neuroflight policy check` found its policy fit to fly the aircraft",
-    )
+Unchecked = Annotated[
+    bool,
+    Option(
+        None, "build an image though no `neuroflight policy check` found its policy fit to fly the aircraft"
+    ),
+]
 
 
 def checked(

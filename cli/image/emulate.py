@@ -1,24 +1,27 @@
-"""`neuroflight board`: the image on an idle emulated board, whose serial ports programs talk to."""
+"""`neuroflight image emulate`: the image on an idle emulated board, whose serial ports programs talk to."""
 
 from __future__ import annotations
 
-import argparse
+import json
 import math
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.image.emulated import (
+    GYROS,
+    PORT_MAX,
     UARTS,
+    Card,
+    Gyro,
     Interrupt,
-    add_card_argument,
-    add_gyro_argument,
-    check_gdb,
     open_end,
     parse_serials,
 )
+from neuroflight.cli.requests import Either, Option, Request
 from neuroflight.toolchain.contract import (
     FLASH_BASE,
     FLASH_BYTES,
@@ -41,133 +44,196 @@ VECTORS_BYTES = 8  # stack and reset vector
 VOLTS_MAX = 36.0  # what the converter's pin can see
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the image, its serial ports, and the files that keep its memories."""
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--image", type=Path, metavar="FILE.bin", help="what is flashed")
-    what.add_argument("--build", type=Path, metavar="DIR", help="its build; default: build/MATEKF722")
-    what.add_argument(
-        "--chip",
-        type=Path,
-        metavar="FILE",
-        help="flash nothing: the chip holds what this file holds, and is erased where there is no such file; "
-        "what is written to the chip is kept there",
-    )
-    parser.add_argument(
-        "--boot0",
-        action="store_true",
-        help="the BOOT button is held at power-up: the boot loader in the chip's ROM runs, not the image",
-    )
-    parser.add_argument(
-        "--serial",
-        action="append",
-        metavar="[uart3=]pty|tcp[:PORT]",
-        help="where programs find UART1, which speaks MSP: a pseudo terminal (default), or TCP on this "
-        "computer; uart3=...: UART3 too, where the setting uart3_function is msp",
-    )
-    parser.add_argument(
-        "--baud",
-        type=int,
-        default=MSP_BAUD_DEFAULT,
-        metavar="N",
-        help=f"speed of that line; default {MSP_BAUD_DEFAULT}, as the setting msp_baud",
-    )
-    parser.add_argument("--gdb", type=int, metavar="PORT", help="let gdb in there, at any time; 0: any port")
-    parser.add_argument(
-        "--flash",
-        type=Path,
-        metavar="FILE",
-        help="keep settings, policies and fault log here between two runs; the image is always the one given",
-    )
-    add_gyro_argument(parser)
-    add_card_argument(parser)
-    parser.add_argument(
-        "--volts",
-        type=float,
-        default=SIM_BATTERY_MV / 1000,
-        metavar="V",
-        help=f"of the battery; default {SIM_BATTERY_MV / 1000}",
-    )
-    parser.add_argument(
-        "--seconds",
-        type=float,
-        metavar="N",
-        help="of the board's time, from its boot on; default: until Ctrl-C",
-    )
+WHAT = Either()
 
 
-def run(args: argparse.Namespace) -> int:
-    """Serve until the end. Returns 0; raises BoardError for errors of the image."""
-    serials = {"uart1": ("pty", 0), **parse_serials(args.serial or ())}
-    _check(args)
-    image = args.chip or args.image or (args.build or BUILD) / "neuroflight.bin"
+@dataclass(frozen=True, kw_only=True)
+class Emulate(Request):
+    """A request for an idle emulated board, its serial ports, and the files that keep its memories."""
 
-    from neuroflight.sim.board.debug.gdb import GdbServer
-    from neuroflight.sim.board.devices.sd_card import SdCard
-    from neuroflight.sim.board.matekf722 import GYROS
-    from neuroflight.sim.board.peripherals.usart import Format
-    from neuroflight.sim.board.serial.bridge import Bridge, UartLine
-    from neuroflight.sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
-    from neuroflight.toolchain.image.elf import read_flashable
+    image: Annotated[Path | None, Option("FILE.bin", "what is flashed", either=WHAT)] = None
+    build: Annotated[Path | None, Option("DIR", "its build; default: build/MATEKF722", either=WHAT)] = None
+    chip: Annotated[
+        Path | None,
+        Option(
+            "FILE",
+            "flash nothing: the chip holds what this file holds, and is erased where there is no such file; "
+            "what is written to the chip is kept there",
+            either=WHAT,
+        ),
+    ] = None
+    boot0: Annotated[
+        bool,
+        Option(
+            None, "the BOOT button is held at power-up: the boot loader in the chip's ROM runs, not the image"
+        ),
+    ] = False
+    serial: Annotated[
+        tuple[str, ...],
+        Option(
+            "[uart3=]pty|tcp[:PORT]",
+            "where programs find UART1, which speaks MSP: a pseudo terminal (default), or TCP on this "
+            "computer; uart3=...: UART3 too, where the setting uart3_function is msp",
+            once=True,
+        ),
+    ] = ()
+    baud: Annotated[
+        int,
+        Option(
+            "N",
+            f"speed of that line; default {MSP_BAUD_DEFAULT}, as the setting msp_baud",
+            low=1,
+            high=BAUD_MAX,
+        ),
+    ] = MSP_BAUD_DEFAULT
+    gdb: Annotated[
+        int | None, Option("PORT", "let gdb in there, at any time; 0: any port", low=0, high=PORT_MAX)
+    ] = None
+    flash: Annotated[
+        Path | None,
+        Option(
+            "FILE",
+            "keep settings, policies and fault log here between two runs; the image is always the one given",
+        ),
+    ] = None
+    gyro: Gyro = GYROS[0]
+    card: Card = None
+    volts: Annotated[
+        float,
+        Option(
+            "V",
+            f"of the battery; default {SIM_BATTERY_MV / 1000}",
+            low=0.0,
+            high=VOLTS_MAX,
+            unit="V",
+        ),
+    ] = SIM_BATTERY_MV / 1000
+    seconds: Annotated[
+        float | None, Option("S", "of the board's time, from its boot on; default: until Ctrl-C")
+    ] = None
+    json: Annotated[
+        bool, Option(None, "print a line of JSON when its ports are there, and one at the end")
+    ] = False
 
-    flashed = b"" if args.chip else read_flashable(image)
-    elf = image.with_suffix(".elf")
-    option, file = ("--chip", args.chip) if args.chip else ("--flash", args.flash)
-    with ExitStack() as ends:
-        _claim(option, file, ends)
-        kept = _kept(option, file)
-        content = (kept or b"") if args.chip else with_image(flashed, kept)
-        if not args.boot0:
-            _check_bootable(image, content)
-        opened = {}
-        for name, serial in serials.items():
-            opened[name] = open_end(serial)
-            ends.callback(opened[name].close)
-        card = None if args.card is None else SdCard(args.card)
-        if card is not None:
-            ends.callback(card.close)
-        idle = IdleBoard(
-            content,
-            elf=elf if elf.is_file() and not args.chip else None,
-            volts=args.volts,
-            gyro=GYROS[args.gyro],
-            card=card,
-            boot_button=args.boot0,
-            newly_installed=args.chip is not None,
-        )
-        ends.callback(idle.close)
-        keeper = Keeper(idle, lambda content: _keep(option, file, content))
-        if file is not None and kept is None:
-            _keep(option, file, idle.flash())
-        ends.callback(keeper.update, at_once=True)
-        idle.boot()  # bytes that arrive during the boot would be lost
-        bridges = []
-        for name, end in opened.items():
-            baud = args.baud if name == "uart1" else _baud(idle)
-            bridges.append(Bridge(UartLine(idle.board, UARTS[name], Format(baud)), end))
-            ends.callback(bridges[-1].close)
-        debugger = None
-        if args.gdb is not None:
-            debugger = GdbServer(idle.board.engine, args.gdb, on_flashed=keeper.note_change)
-            ends.callback(debugger.close)
-            idle.run_core = debugger.run_to
-        interrupt = ends.enter_context(Interrupt(debugger))
-        _tell(image, bridges, debugger, in_rom=idle.board.hardware.rom.runs)
-        watch = _SpeedWatch(bridges[0])
+    def run(self) -> int:
+        """Serve until the end. Returns 0; raises BoardError for errors of the image."""
+        serials = {"uart1": ("pty", 0), **parse_serials(self.serial)}
+        self._check()
+        image = self.chip or self.image or (self.build or BUILD) / "neuroflight.bin"
 
-        def update() -> None:
-            interrupt.check()
-            keeper.update()
-            watch.update()
-            if debugger is not None:
-                debugger.poll()
+        from neuroflight.sim.board.debug.gdb import GdbServer
+        from neuroflight.sim.board.devices.sd_card import SdCard
+        from neuroflight.sim.board.matekf722 import GYROS
+        from neuroflight.sim.board.peripherals.usart import Format
+        from neuroflight.sim.board.serial.bridge import Bridge, UartLine
+        from neuroflight.sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
+        from neuroflight.toolchain.image.elf import read_flashable
 
-        try:
-            serve(idle, bridges, seconds=args.seconds, update=update)
-        except KeyboardInterrupt:
-            print(flush=True)  # behind the terminal's ^C
-        print(_summary(idle), flush=True)
-    return 0
+        flashed = b"" if self.chip else read_flashable(image)
+        elf = image.with_suffix(".elf")
+        option, file = ("--chip", self.chip) if self.chip else ("--flash", self.flash)
+        with ExitStack() as ends:
+            _claim(option, file, ends)
+            kept = _kept(option, file)
+            content = (kept or b"") if self.chip else with_image(flashed, kept)
+            if not self.boot0:
+                _check_bootable(image, content)
+            opened = {}
+            for name, serial in serials.items():
+                opened[name] = open_end(serial)
+                ends.callback(opened[name].close)
+            card = None if self.card is None else SdCard(self.card)
+            if card is not None:
+                ends.callback(card.close)
+            idle = IdleBoard(
+                content,
+                elf=elf if elf.is_file() and not self.chip else None,
+                volts=self.volts,
+                gyro=GYROS[self.gyro],
+                card=card,
+                boot_button=self.boot0,
+                newly_installed=self.chip is not None,
+            )
+            ends.callback(idle.close)
+            keeper = Keeper(idle, lambda content: _keep(option, file, content))
+            if file is not None and kept is None:
+                _keep(option, file, idle.flash())
+            ends.callback(keeper.update, at_once=True)
+            idle.boot()  # bytes that arrive during the boot would be lost
+            bridges = []
+            for name, end in opened.items():
+                baud = self.baud if name == "uart1" else _baud(idle)
+                bridges.append(Bridge(UartLine(idle.board, UARTS[name], Format(baud)), end))
+                ends.callback(bridges[-1].close)
+            debugger = None
+            if self.gdb is not None:
+                debugger = GdbServer(idle.board.engine, self.gdb, on_flashed=keeper.note_change)
+                ends.callback(debugger.close)
+                idle.run_core = debugger.run_to
+            interrupt = ends.enter_context(Interrupt(debugger))
+            self._tell(image, bridges, debugger, in_rom=idle.board.hardware.rom.runs)
+            watch = _SpeedWatch(bridges[0])
+
+            def update() -> None:
+                interrupt.check()
+                keeper.update()
+                watch.update()
+                if debugger is not None:
+                    debugger.poll()
+
+            try:
+                serve(idle, bridges, seconds=self.seconds, update=update)
+            except KeyboardInterrupt:
+                print(end="" if self.json else "\n", flush=True)  # behind the terminal's ^C
+            self._end(idle)
+        return 0
+
+    def _check(self) -> None:
+        if self.chip and self.flash:
+            raise NeuroflightError(
+                "--flash: got it beside --chip, which keeps the whole flash; leave one out"
+            )
+        if self.boot0 and any(text.startswith("uart3") for text in self.serial):
+            raise NeuroflightError("--serial uart3: got it with --boot0, whose ROM is emulated on UART1 only")
+        if self.seconds is not None and not (math.isfinite(self.seconds) and self.seconds > 0.0):
+            raise NeuroflightError(f"--seconds {self.seconds:g}, expected a number above 0")
+
+    def _tell(
+        self, image: Path, bridges: Sequence[Bridge], debugger: GdbServer | None, *, in_rom: bool
+    ) -> None:
+        """Print where programs find the board."""
+        if self.json:
+            ports = {
+                name: {"port": bridge.end.name, "baud": bridge.line.format.baud}
+                for name, bridge in zip(("rom" if in_rom else "msp", "uart3"), bridges, strict=False)
+            }
+            gdb = None if debugger is None else debugger.port
+            print(json.dumps({"image": str(image), "ports": ports, "gdb": gdb}), flush=True)
+            return
+        print(f"board  {image}")
+        for label, bridge in zip(("ROM" if in_rom else "MSP", "UART3"), bridges, strict=False):
+            name = bridge.end.name
+            then = "rescue IMAGE" if label == "ROM" else "info"
+            print(
+                f"{label:7}{name}, {bridge.line.format.baud:.0f} baud; neuroflight board {then} --port {name}"
+            )
+        if debugger is not None:
+            elf = image.with_suffix(".elf")
+            elf = elf if elf.is_file() else BUILD / "neuroflight.elf"
+            remote = f"-ex 'target remote :{debugger.port}'"
+            print(f"gdb    127.0.0.1:{debugger.port}; gdb-multiarch -d firmware {remote} {elf}")
+        print("Ctrl-C ends it", flush=True)
+
+    def _end(self, idle: IdleBoard) -> None:
+        """Print how long the board ran, and its resets."""
+        from neuroflight.sim.board.core.context import TIME_HZ
+
+        report = idle.board.report()
+        seconds, resets = report.cycles / TIME_HZ, report.resets[1:]
+        if self.json:
+            print(json.dumps({"seconds": seconds, "resets": list(resets)}), flush=True)
+        else:
+            print(f"{seconds:.1f} s on the board, resets: {', '.join(resets) or 'none'}", flush=True)
 
 
 class _SpeedWatch:
@@ -197,20 +263,6 @@ def _check_bootable(path: Path, content: bytes) -> None:
             f"{path}: the chip is erased where its boot part should be, expected an image; start it with "
             f"--boot0 and write one with `neuroflight board rescue`"
         )
-
-
-def _check(args: argparse.Namespace) -> None:
-    if args.chip and args.flash:
-        raise NeuroflightError("--flash: got it beside --chip, which keeps the whole flash; leave one out")
-    if args.boot0 and args.serial and any(text.startswith("uart3") for text in args.serial):
-        raise NeuroflightError("--serial uart3: got it with --boot0, whose ROM is emulated on UART1 only")
-    if not 1 <= args.baud <= BAUD_MAX:
-        raise NeuroflightError(f"--baud: got {args.baud}, expected 1 to {BAUD_MAX}")
-    check_gdb(args.gdb)
-    if not 0.0 <= args.volts <= VOLTS_MAX:
-        raise NeuroflightError(f"--volts: got {args.volts:g}, expected 0 to {VOLTS_MAX:g}")
-    if args.seconds is not None and not (math.isfinite(args.seconds) and args.seconds > 0.0):
-        raise NeuroflightError(f"--seconds: got {args.seconds:g}, expected a number above 0")
 
 
 def _claim(option: str, path: Path | None, ends: ExitStack) -> None:
@@ -274,25 +326,3 @@ def _baud(idle: IdleBoard) -> float:
             "uart3_function=msp in a run with --flash FILE, save, and start again with that file"
         )
     return min(MSP_BAUDS, key=lambda baud: abs(baud - uart.format.baud))
-
-
-def _tell(image: Path, bridges: Sequence[Bridge], debugger: GdbServer | None, *, in_rom: bool) -> None:
-    print(f"board  {image}")
-    for label, bridge in zip(("ROM" if in_rom else "MSP", "UART3"), bridges, strict=False):
-        name = bridge.end.name
-        then = "rescue IMAGE" if label == "ROM" else "info"
-        print(f"{label:7}{name}, {bridge.line.format.baud:.0f} baud; neuroflight board {then} --port {name}")
-    if debugger is not None:
-        elf = image.with_suffix(".elf")
-        elf = elf if elf.is_file() else BUILD / "neuroflight.elf"
-        remote = f"-ex 'target remote :{debugger.port}'"
-        print(f"gdb    127.0.0.1:{debugger.port}; gdb-multiarch -d firmware {remote} {elf}")
-    print("Ctrl-C ends it", flush=True)
-
-
-def _summary(idle: IdleBoard) -> str:
-    from neuroflight.sim.board.core.context import TIME_HZ
-
-    report = idle.board.report()
-    resets = ", ".join(report.resets[1:]) or "none"
-    return f"{report.cycles / TIME_HZ:.1f} s on the board, resets: {resets}"

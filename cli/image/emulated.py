@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 import signal
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from neuroflight.cli.requests import Option
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -19,26 +19,11 @@ PORT_MAX = 65535
 GYROS = ("icm20602", "mpu6500", "icm20689", "icm20601", "icm20608g", "mpu9250")  # of sim.board.matekf722
 UARTS = {"uart1": "USART1", "uart3": "USART3"}  # that speak MSP, as users and the chip call them
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
-def add_gyro_argument(parser: argparse._ActionsContainer) -> None:
-    """Declare which gyro chip is fitted."""
-    parser.add_argument(
-        "--gyro",
-        choices=GYROS,
-        default=GYROS[0],
-        help=f"the chip that is fitted; default {GYROS[0]}",
-    )
-
-
-def add_card_argument(parser: argparse._ActionsContainer) -> None:
-    """Declare the SD card in its slot."""
-    parser.add_argument(
-        "--card",
-        type=Path,
-        metavar="IMG",
-        help="an SD card is in the slot: this raw image, which is written to; default: none",
-    )
+Gyro = Annotated[str, Option(None, f"the chip that is fitted; default {GYROS[0]}", choices=GYROS)]
+Card = Annotated[
+    Path | None,
+    Option("IMG", "an SD card is in the slot: this raw image, which is written to; default: none"),
+]
 
 
 def parse_serials(texts: Sequence[str]) -> dict[str, tuple[str, int]]:

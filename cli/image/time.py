@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from neuroflight.cli.progress import progress_bars
 from neuroflight.cli.requests import Argument, Option, Request
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-
-    from rich.progress import TaskID
 
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.sim.board.board import Board
@@ -61,6 +59,8 @@ class Time(Request):
             "flights took; default: 0, do not ask",
             low=0,
             high=SERIAL_MAX,
+            name="--uart-tasks",
+            old=("--serial",),
         ),
     ] = 0
     plot: Annotated[Path | None, Option("FILE.png", "draw how long its runs took", recorded=False)] = None
@@ -123,21 +123,12 @@ def _fly_all(
     code: Mapping[int, Instruction],
 ) -> list[Metered]:
     """Fly all scenarios, each on a board of its own; None: the board stays disarmed."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    quiet = args.json or not sys.stderr.isatty()
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
-        metered = []
+    metered = []
+    with progress_bars(args.json) as add:
         for scenario in scenarios:
             flown = "disarmed" if scenario is None else "PID" if scenario.segments[0].pid else "policy"
-            task = bar.add_task(flown, total=1.0)
-
-            def show(part: float, task: TaskID = task) -> None:
-                bar.update(task, completed=part)
-
-            metered.append(_fly(args, aircraft, scenario, code, show))
-        return metered
+            metered.append(_fly(args, aircraft, scenario, code, add(flown)))
+    return metered
 
 
 def _fly(

@@ -2,89 +2,89 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 from neuroflight.cli.board.interrupts import one_interrupt
+from neuroflight.cli.options import Json
 from neuroflight.cli.progress import step_bars
 from neuroflight.cli.questions import confirm
-from neuroflight.cli.tables import print_json, print_table
-from neuroflight.toolchain.errors import CardError, NeuroflightError
+from neuroflight.cli.report import Account, print_table
+from neuroflight.cli.requests import Argument, Either, Option, Request
+from neuroflight.toolchain.contract import LOG_FILE_MIB, LOG_FILE_MIB_MAX, LOG_NUMBER_MAX
+from neuroflight.toolchain.errors import CardError
 
 if TYPE_CHECKING:
     from neuroflight.flash.card.files import Card, LogFile
 
-MEGABYTES = 64
 WORDS = {"write": "writing", "compare": "comparing", "clear": "emptying"}
 HEADS = ("file", "holds", "MB", "in one piece")
+WHAT = Either()
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare place and options."""
-    parser.add_argument(
-        "place",
-        type=Path,
-        metavar="PLACE",
-        help="the folder where a FAT32 card is mounted, an image file, or a device that is not mounted",
-    )
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--list", action="store_true", help="what is there; nothing is written")
-    what.add_argument(
-        "--clear", action="store_true", help="empty the logs that --copies has whole copies of; asks"
-    )
-    parser.add_argument(
-        "--files",
-        type=int,
-        metavar="N",
-        help="so many empty files shall be there; default: half of the room, 64 at most",
-    )
-    parser.add_argument(
-        "--size", type=int, default=MEGABYTES, metavar="MB", help=f"of each new file (default {MEGABYTES})"
-    )
-    parser.add_argument(
-        "--copies",
-        type=Path,
-        default=Path(),
-        metavar="DIR",
-        help="with --clear: the folder that logs were copied or fetched to (default: this one)",
-    )
-    parser.add_argument("--yes", action="store_true", help="with --clear: do not ask")
-    parser.add_argument("--json", action="store_true", help="with --list: print JSON")
+@dataclass(frozen=True, kw_only=True)
+class OnCard(Request):
+    """A request about the files for logs on a card."""
+
+    place: Annotated[
+        Path,
+        Argument(
+            "PLACE",
+            "the folder where a FAT32 card is mounted, an image file, or a device that is not mounted",
+        ),
+    ]
+    list: Annotated[bool, Option(None, "what is there; nothing is written", either=WHAT)] = False
+    clear: Annotated[
+        bool, Option(None, "empty the logs that --copies has whole copies of; asks", either=WHAT)
+    ] = False
+    files: Annotated[
+        int | None,
+        Option(
+            "N",
+            "so many empty files shall be there; default: half of the room, 64 at most",
+            low=1,
+            high=LOG_NUMBER_MAX,
+        ),
+    ] = None
+    size: Annotated[
+        int,
+        Option("MB", f"of each new file (default {LOG_FILE_MIB})", low=1, high=LOG_FILE_MIB_MAX, unit="MB"),
+    ] = LOG_FILE_MIB
+    copies: Annotated[
+        Path,
+        Option("DIR", "with --clear: the folder that logs were copied or fetched to (default: this one)"),
+    ] = Path()
+    yes: Annotated[bool, Option(None, "with --clear: do not ask")] = False
+    json: Json = False
+
+    def run(self) -> int:
+        """Prepare the card. Returns 0; raises NeuroflightError for what cannot be done."""
+        from neuroflight.flash.card.place import open_card
+
+        card = open_card(self.place)
+        with one_interrupt():
+            if self.list:
+                return _list(self, card)
+            return _clear(self, card) if self.clear else _prepare(self, card)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Prepare the card. Returns 0; raises NeuroflightError for what cannot be done."""
-    from neuroflight.flash.card.files import FILE_BYTES_MAX, MEBIBYTE, NUMBER_MAX
-    from neuroflight.flash.card.place import open_card
-
-    if not 1 <= args.size <= FILE_BYTES_MAX // MEBIBYTE:
-        raise NeuroflightError(f"--size got {args.size}, expected 1 to {FILE_BYTES_MAX // MEBIBYTE} MB")
-    if args.files is not None and not 1 <= args.files <= NUMBER_MAX:
-        raise NeuroflightError(f"--files got {args.files}, expected 1 to {NUMBER_MAX}")
-    card = open_card(args.place)
-    with one_interrupt():
-        if args.list:
-            return _list(args, card)
-        return _clear(args, card) if args.clear else _prepare(args, card)
-
-
-def _list(args: argparse.Namespace, card: Card) -> int:
+def _list(args: OnCard, card: Card) -> int:
     files = card.files()
-    if args.json:
-        print_json([{"name": f.name, "bytes": f.bytes, "log": not f.blank, "whole": f.whole} for f in files])
-        return 0
+    told = Account(args.json)
     if not files:
-        print(f"{card.name}: no file for logs; `neuroflight log card {card.name}` makes them")
-        return 0
-    whole = {True: "yes", False: "no: takes no log", None: "?"}
-    print_table(
-        HEADS,
-        [(f.name, "-" if f.blank else "a log", f"{f.bytes / 2**20:.0f}", whole[f.whole]) for f in files],
-        frozenset({"MB"}),
-    )
-    print(_summary(files))
-    return 0
+        return told.end([], f"{card.name}: no file for logs; `neuroflight log card {card.name}` makes them")
+    if not args.json:
+        whole = {True: "yes", False: "no: takes no log", None: "?"}
+        rows = [
+            (f.name, "-" if f.blank else "a log", f"{f.bytes / 2**20:.0f}", whole[f.whole]) for f in files
+        ]
+        print_table("", [HEADS, *rows], numbers={"MB"})
+    return told.end(_documents(files), _summary(files))
+
+
+def _documents(files: list[LogFile]) -> list[dict[str, Any]]:
+    return [{"name": f.name, "bytes": f.bytes, "log": not f.blank, "whole": f.whole} for f in files]
 
 
 def _summary(files: list[LogFile]) -> str:
@@ -92,27 +92,28 @@ def _summary(files: list[LogFile]) -> str:
     return f"{sum(not file.blank for file in files)} with a log, {empty} empty"
 
 
-def _prepare(args: argparse.Namespace, card: Card) -> int:
+def _prepare(args: OnCard, card: Card) -> int:
     from neuroflight.flash.card.files import MEBIBYTE, carry_out, plan_files
 
     there = card.files()
     plan = plan_files(there, card.free_bytes(), args.size * MEBIBYTE, args.files)
+    told = Account(args.json)
     for file in there:
         if not file.blank:
-            print(f"kept: {file.name}, a log is in it")
+            told.say(f"kept: {file.name}, a log is in it")
     with step_bars(WORDS) as progress:
         files = carry_out(card, plan, progress) if plan.names else there
-    print(f"{card.name}: {len(plan.names)} new, of {args.size} MB each; {_summary(files)}")
+    told.say(f"{card.name}: {len(plan.names)} new, of {args.size} MB each; {_summary(files)}")
     if any(file.whole is False for file in files):
-        print("some files do not lie in one piece (--list) and take no log: copy and delete those")
+        told.say("some files do not lie in one piece (--list) and take no log: copy and delete those")
     if any(file.whole is None for file in files):
-        print(
+        told.say(
             "whether each lies in one piece cannot be read here: the aircraft looks, `board logs list` tells"
         )
-    return 0
+    return told.end({"new": list(plan.names), "files": _documents(files)})
 
 
-def _clear(args: argparse.Namespace, card: Card) -> int:
+def _clear(args: OnCard, card: Card) -> int:
     from neuroflight.flash.card.copies import copy_of
     from neuroflight.flash.card.files import behind
 
@@ -125,18 +126,20 @@ def _clear(args: argparse.Namespace, card: Card) -> int:
         for log in logs:
             copied[log.name] = copy_of(card, log, args.copies, behind(progress, "compare", done, total))
             done += log.bytes
-    for log in logs:
-        copy = copied[log.name]
-        print(f"{log.name}: " + (f"the same as {copy}" if copy else f"kept, no whole copy in {args.copies}"))
+    told = Account(args.json)
+    for name, copy in copied.items():
+        told.say(f"{name}: " + (f"the same as {copy}" if copy else f"kept, no whole copy in {args.copies}"))
     clear = [log for log in logs if copied[log.name] is not None]
+    document = {
+        "copies": {name: None if copy is None else str(copy) for name, copy in copied.items()},
+        "emptied": [log.name for log in clear],
+    }
     if not clear:
-        print(f"{card.name}: nothing to empty")
-        return 0
+        return told.end(document, f"{card.name}: nothing to empty")
     confirm(args.yes, f"empty {len(clear)} of {len(logs)} logs on {card.name}", "nothing was written")
     with step_bars(WORDS) as progress:
         total, done = sum(log.bytes for log in clear), 0
         for log in clear:
             card.clear(log.name, behind(progress, "clear", done, total))
             done += log.bytes
-    print(f"{card.name}: {_summary(card.files())}")
-    return 0
+    return told.end(document, f"{card.name}: {_summary(card.files())}")

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from neuroflight.cli.log.reading import (
-    add_choice_arguments,
-    add_part_arguments,
-    open_log,
-    part,
-    tell_damage,
-)
+from neuroflight.cli.log.reading import OfLogs, since, tell_damage
+from neuroflight.cli.options import OfPart, picture
 from neuroflight.cli.report import print_table
+from neuroflight.cli.requests import Argument
 from neuroflight.toolchain.contract import AXES
 
 if TYPE_CHECKING:
@@ -25,59 +20,56 @@ if TYPE_CHECKING:
 BAR = 12  # characters of the longest bar
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "file", type=Path, nargs="+", metavar="FILE", help="logs or traces (.npz), counted together"
-    )
-    add_choice_arguments(parser)
-    add_part_arguments(parser, "the first armed row, in each")
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw histograms, fitted normals")
+@dataclass(frozen=True, kw_only=True)
+class Distribution(OfPart, OfLogs):
+    """A request for the distribution of a pilot's commands."""
 
+    file: Annotated[tuple[Path, ...], Argument("FILE", "logs or traces (.npz), counted together")]
+    start: Annotated[float | None, since("the first armed row, in each")] = None
+    plot: Annotated[Path | None, picture("draw histograms, fitted normals")] = None
 
-def run(args: argparse.Namespace) -> int:
-    """Decode, count, draw, print."""
-    from neuroflight.cli.output import check_output, plain
-    from neuroflight.sim.blackbox.commands import EDGES_DEG_S, QUANTILES, commands
+    def run(self) -> int:
+        """Decode, count, draw, print."""
+        from neuroflight.cli.output import plain
+        from neuroflight.sim.blackbox.commands import EDGES_DEG_S, QUANTILES, commands
 
-    check_output(args.plot, ".png")
-    chosen = part(args)
-    told = commands([_sticks(args, path, chosen) for path in args.file])
-    names = " ".join(path.name for path in args.file)
-    if args.plot:
-        from neuroflight.sim.blackbox.commands_plot import draw_commands
-        from neuroflight.sim.plotting import save_png
+        chosen = self.part
+        told = commands([self._sticks(path, chosen) for path in self.file])
+        names = " ".join(path.name for path in self.file)
+        if self.plot:
+            from neuroflight.sim.blackbox.commands_plot import draw_commands
+            from neuroflight.sim.plotting import save_png
 
-        all_axes = f"mean {told.overall.mean:.1f}, sigma {told.overall.sigma:.1f} deg/s"
-        save_png(args.plot, draw_commands(told, f"{names}: {told.samples:,} samples, {all_axes}"))
-    if args.json:
-        document = {
-            "files": [str(path) for path in args.file],
-            "plot": None if args.plot is None else str(args.plot),
-            "sigma": told.overall.sigma,
-            **asdict(told),
-            "quantiles_percent": QUANTILES,
-            "histogram_edges_deg_s": EDGES_DEG_S,
-        }
-        print(json.dumps(plain(document), indent=2, default=plain))
+            all_axes = f"mean {told.overall.mean:.1f}, sigma {told.overall.sigma:.1f} deg/s"
+            save_png(self.plot, draw_commands(told, f"{names}: {told.samples:,} samples, {all_axes}"))
+        if self.json:
+            document = {
+                "files": [str(path) for path in self.file],
+                "plot": None if self.plot is None else str(self.plot),
+                "sigma": told.overall.sigma,
+                **asdict(told),
+                "quantiles_percent": QUANTILES,
+                "histogram_edges_deg_s": EDGES_DEG_S,
+            }
+            print(json.dumps(plain(document), indent=2, default=plain))
+            return 0
+        _print(names, told)
+        if self.plot:
+            print(self.plot)
         return 0
-    _print(names, told)
-    if args.plot:
-        print(args.plot)
-    return 0
 
+    def _sticks(self, path: Path, chosen: Part) -> Sticks:
+        """Read the sticks of a file, a trace by its suffix; damage of a log is told."""
+        from neuroflight.sim.blackbox.commands import log_sticks, trace_sticks
 
-def _sticks(args: argparse.Namespace, path: Path, chosen: Part) -> Sticks:
-    """Read the sticks of a file, a trace by its suffix; damage of a log is told."""
-    from neuroflight.sim.blackbox.commands import log_sticks, trace_sticks
+        if path.suffix == ".npz":
+            from neuroflight.sim.flight.trace import load_trace
 
-    if path.suffix == ".npz":
-        from neuroflight.sim.flight.trace import load_trace
-
-        return trace_sticks(load_trace(path), chosen)
-    log = open_log(args, path)
-    sticks = log_sticks(log, chosen)
-    tell_damage(log)
-    return sticks
+            return trace_sticks(load_trace(path), chosen)
+        log = self.read(path)
+        sticks = log_sticks(log, chosen)
+        tell_damage(log)
+        return sticks
 
 
 def _print(title: str, told: Commands) -> None:
@@ -109,7 +101,7 @@ def _print(title: str, told: Commands) -> None:
     for low, high, counts in zip(EDGES_DEG_S, EDGES_DEG_S[1:], told.histogram.tolist(), strict=False):
         words = f"from {low}" if high == EDGES_DEG_S[-1] else f"{low} to {high}"
         bars.append((words, *(_bar(count, most, told.samples) for count in counts)))
-    print_table("", bars, left=True)
+    print_table("", bars, numbers=())
 
 
 def _bar(count: int, most: int, samples: int) -> str:

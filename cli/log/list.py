@@ -49,7 +49,7 @@ class List(Request):
             length = "" if row.seconds is None else f"{row.seconds:.1f} s"
             number = "" if row.log is None else str(row.log)
             table.append((row.file, number, _size(row.bytes), length, row.firmware, row.craft, row.note))
-        print_table("", table, left=True)
+        print_table("", table, numbers=())
         return 0
 
 
@@ -89,13 +89,7 @@ def _file(path: Path) -> Iterator[LogRow]:
         version = headers.get("nf_version", "")
         firmware = f"{Maker.NEUROFLIGHT.value} {version}" if version else said
         yield LogRow(
-            path.name,
-            one.number,
-            one.size,
-            seconds,
-            firmware[:SHOWN],
-            craft[:SHOWN],
-            "; ".join(notes),
+            path.name, one.number, one.size, seconds, firmware[:SHOWN], craft[:SHOWN], "; ".join(notes)
         )
 
 

@@ -2,43 +2,37 @@
 
 from __future__ import annotations
 
-import argparse
-import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
-from neuroflight.cli.log.reading import (
-    add_file_arguments,
-    add_part_arguments,
-    check_part,
-    open_log,
-    tell_damage,
-)
-from neuroflight.cli.options import add_plot
+from neuroflight.cli.log.reading import OfLog, since, tell_damage
+from neuroflight.cli.options import OfPart
+from neuroflight.cli.report import print_json
+from neuroflight.cli.requests import Option
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_file_arguments(parser)
-    add_plot(parser, "where the picture goes", old="--out", required=True)
-    add_part_arguments(parser, "the log's first row")
+@dataclass(frozen=True, kw_only=True)
+class Plot(OfPart, OfLog):
+    """A request for the picture of a flight."""
 
+    plot: Annotated[Path, Option("FILE.png", "where the picture goes", old=("--out",), suffix=".png")]
+    start: Annotated[float | None, since("the log's first row")] = None
 
-def run(args: argparse.Namespace) -> int:
-    """Decode and draw."""
-    from neuroflight.cli.output import check_output
-    from neuroflight.sim.blackbox.plot import draw_log
-    from neuroflight.sim.plotting import save_png
+    def run(self) -> int:
+        """Decode and draw."""
+        from neuroflight.sim.blackbox.plot import draw_log
+        from neuroflight.sim.plotting import save_png
 
-    check_output(args.plot, ".png")
-    check_part(args)
-    log = open_log(args)
-    title = f"{args.file.name}: log {log.number}, {log.maker.value}"
-    save_png(args.plot, draw_log(log, title, args.start, args.stop))
-    tell_damage(log)
-    if args.json:
-        print(
-            json.dumps(
-                {"file": str(args.file), "log": log.number, "out": str(args.plot), "notes": list(log.notes)}
+        part = self.part
+        log = self.read(self.file)
+        title = f"{self.file.name}: log {log.number}, {log.maker.value}"
+        save_png(self.plot, draw_log(log, title, part.start_s, part.stop_s))
+        tell_damage(log)
+        if self.json:
+            print_json(
+                {"file": str(self.file), "log": log.number, "out": str(self.plot), "notes": list(log.notes)}
             )
-        )
-    else:
-        print(args.plot)
-    return 0
+        else:
+            print(self.plot)
+        return 0

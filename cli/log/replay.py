@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from neuroflight.cli.log.reading import add_file_arguments, open_log, tell_damage
-from neuroflight.cli.options import add_plot, machine
-from neuroflight.cli.report import print_table
+from neuroflight.cli.log.reading import OfLog, tell_damage
+from neuroflight.cli.options import Machine
+from neuroflight.cli.progress import progress_bars
+from neuroflight.cli.report import print_json, print_table
+from neuroflight.cli.requests import Option
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -22,65 +21,65 @@ if TYPE_CHECKING:
     from neuroflight.sim.replay.other_policy import Opinion
 
 ROOT = Path(__file__).resolve().parents[2]
-MACHINES = ("library", "host", "board")
+LIBRARY = Machine("library")
 Show = Callable[[float], None]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the log, the firmware, and the other policy."""
-    add_file_arguments(parser)
-    parser.add_argument(
-        "--on",
-        type=machine,
-        choices=MACHINES,
-        default="library",
-        help="library: the firmware's C core in this process (default); host: the firmware as a program; "
-        "board: its image, emulated",
-    )
-    parser.add_argument(
-        "--build",
-        type=Path,
-        metavar="DIR",
-        help="the build to replay with; default: build/HOST, with board build/MATEKF722",
-    )
-    parser.add_argument(
-        "--policy",
-        type=Path,
-        metavar="OTHER.onnx",
-        help="ask this policy at each step of the flight and show how its answers, never flown, differ",
-    )
-    add_plot(parser, "with --policy: draw both answers", old="--out")
+@dataclass(frozen=True, kw_only=True)
+class Replay(OfLog):
+    """A request to replay a log."""
+
+    on: Annotated[
+        Machine,
+        Option(
+            None,
+            "library: the firmware's C core in this process (default); host: the firmware as a program; "
+            "board: its image, emulated",
+            choices=("library", "host", "board"),
+        ),
+    ] = LIBRARY
+    build: Annotated[
+        Path | None,
+        Option("DIR", "the build to replay with; default: build/HOST, with board build/MATEKF722"),
+    ] = None
+    policy: Annotated[
+        Path | None,
+        Option(
+            "OTHER.onnx",
+            "ask this policy at each step of the flight and show how its answers, never flown, differ",
+        ),
+    ] = None
+    plot: Annotated[
+        Path | None, Option("FILE.png", "with --policy: draw both answers", old=("--out",), suffix=".png")
+    ] = None
+
+    def run(self) -> int:
+        """Replay the log. Returns 0 where every value is equal, or another policy was asked; else 1.
+
+        Also 1 where the file has a bit that the firmware did not write.
+        """
+        from neuroflight.sim.replay.flight import replayable
+
+        if self.policy is None and self.plot is not None:
+            raise NeuroflightError("--plot draws what another policy answers; name it with --policy")
+        if self.policy is not None and self.on != "library":
+            raise NeuroflightError(f"--policy asks on the library; leave --on {self.on.said} away")
+        log = self.read(self.file)
+        flight = replayable(log)
+        code = _compare(self, log, flight) if self.policy is None else _ask(self, self.policy, flight)
+        if flight.incomplete and not self.json:
+            print(flight.incomplete, file=sys.stderr)
+        tell_damage(log)
+        return code
 
 
-def run(args: argparse.Namespace) -> int:
-    """Replay the log. Returns 0 where every value is equal, or another policy was asked; else 1.
-
-    Also 1 where the file has a bit that the firmware did not write.
-    """
-    from neuroflight.cli.output import check_output
-    from neuroflight.sim.replay.flight import replayable
-
-    if args.policy is None and args.plot is not None:
-        raise NeuroflightError("--plot draws what another policy answers; name it with --policy")
-    if args.policy is not None and args.on != "library":
-        raise NeuroflightError(f"--policy asks on the library; leave --on {args.on.said} away")
-    check_output(args.plot, ".png")
-    log = open_log(args)
-    flight = replayable(log)
-    code = _compare(args, log, flight) if args.policy is None else _ask(args, flight)
-    if flight.incomplete and not args.json:
-        print(flight.incomplete, file=sys.stderr)
-    tell_damage(log)
-    return code
-
-
-def _compare(args: argparse.Namespace, log: Log, flight: Flight) -> int:
+def _compare(args: Replay, log: Log, flight: Flight) -> int:
     from neuroflight.sim.replay.comparison import compare
     from neuroflight.sim.replay.cost import log_cost
     from neuroflight.sim.replay.program import image_note
 
-    with _bar(args, f"replaying on {args.on.said}") as show:
-        answers = _replay(args, flight, show)
+    with progress_bars(args.json) as add:
+        answers = _replay(args, flight, add(f"replaying on {args.on.said}"))
     found = compare(flight, answers)
     if args.json:
         document = {"file": str(args.file), "on": args.on.said, "equal": found.equal, **asdict(found)}
@@ -89,7 +88,7 @@ def _compare(args: argparse.Namespace, log: Log, flight: Flight) -> int:
             "damaged": flight.damaged,
             "bytes_per_second": asdict(log_cost(log)),
         }
-        print(json.dumps(document, indent=2))
+        print_json(document)
     else:
         print(f"{args.file.name} on {args.on.said}: {found}")
         if not found.equal:
@@ -97,7 +96,7 @@ def _compare(args: argparse.Namespace, log: Log, flight: Flight) -> int:
     return 0 if found.equal and not flight.damaged else 1
 
 
-def _replay(args: argparse.Namespace, flight: Flight, show: Show) -> Answers:
+def _replay(args: Replay, flight: Flight, show: Show) -> Answers:
     """Replay the log's inputs on the machine that is asked for."""
     from neuroflight.sim.replay.program import check_policy
 
@@ -117,32 +116,32 @@ def _replay(args: argparse.Namespace, flight: Flight, show: Show) -> Answers:
     return replay_on_library(folder / "libneuroflight.so", flight, show)
 
 
-def _ask(args: argparse.Namespace, flight: Flight) -> int:
+def _ask(args: Replay, policy: Path, flight: Flight) -> int:
     """Print the answers of the other policy."""
     from neuroflight.sim.replay.other_library import answers_of, build_around
     from neuroflight.sim.replay.other_policy import opinion
 
     folder = args.build or ROOT / "build" / "HOST"
-    with _bar(args, f"building {args.policy.name}"):
-        other = build_around(args.policy, ROOT)
-    with _bar(args, f"asking {args.policy.name}") as show:
-        answers = answers_of(folder, other, flight, show)
+    with progress_bars(args.json) as add:
+        add(f"building {policy.name}")
+        other = build_around(policy, ROOT)
+        answers = answers_of(folder, other, flight, add(f"asking {policy.name}"))
     told = opinion(flight, answers)
     if args.plot is not None:
         from neuroflight.sim.plotting import save_png
         from neuroflight.sim.replay.other_policy_plot import draw_opinion
 
-        title = f"{args.file.name}: what {args.policy.parent.name}/{args.policy.name} would have answered"
+        title = f"{args.file.name}: what {policy.parent.name}/{policy.name} would have answered"
         save_png(args.plot, draw_opinion(flight, answers, told, title))
     if args.json:
-        document = {"file": str(args.file), "policy": str(args.policy), **asdict(told)}
-        print(json.dumps(document | {"incomplete": flight.incomplete or None}, indent=2))
+        document = {"file": str(args.file), "policy": str(policy), **asdict(told)}
+        print_json(document | {"incomplete": flight.incomplete or None})
     else:
         _print(args, told)
     return 0
 
 
-def _print(args: argparse.Namespace, told: Opinion) -> None:
+def _print(args: Replay, told: Opinion) -> None:
     rows: list[tuple[str, ...]] = [("", "mean difference, % of a motor")]
     rows += [(f"motor {motor}", f"{100 * mean:.3f}") for motor, mean in enumerate(told.mean, 1)]
     note = (
@@ -161,16 +160,3 @@ def _print(args: argparse.Namespace, told: Opinion) -> None:
         values = f"{one.at_s:.3f}", str(one.motor), f"{100 * one.logged:.2f}", f"{100 * one.answered:.2f}"
         large.append((str(number), *values))
     print_table("", large, note)
-
-
-@contextmanager
-def _bar(args: argparse.Namespace, what: str) -> Iterator[Show]:
-    """Show the progress on a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    hidden = bool(args.json) or not sys.stderr.isatty()
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=hidden) as bar:
-        task = bar.add_task(what, total=1.0)
-        yield lambda part: bar.update(task, completed=part)

@@ -2,49 +2,45 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from neuroflight.cli.output import command_line
+from neuroflight.cli.pid.options import DISSERTATION, TuneOptions
+from neuroflight.cli.report import print_json, print_table
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from rich.console import Console
-    from rich.table import Table
 
     from neuroflight.sim.aircraft.model import Aircraft, PidSettings
     from neuroflight.training.evaluation.evaluation import Evaluation
-    from neuroflight.training.pid_tuning.trial import Limits
-    from neuroflight.training.pid_tuning.tuning import Tuning
+    from neuroflight.training.pid_tuning.trial import Limits, Tuning
+    from neuroflight.training.pid_tuning.tuning import PidTuning
 
-PID, BETAFLIGHT = SUBJECTS = ("pid", "betaflight")
-FLYING, DISSERTATION = TERMS = ("flying", "dissertation")
+Checked = dict[str, dict[str, "Evaluation"]]  # by settings, then by thrust
+CHANGE, MOTOR_CHANGE = "mean |Δu| in 1 ms", "mean |Δu| of the motor values in 1 ms"  # rows of figures
 DEFAULTS, TUNED = "defaults", "tuned"  # names of settings that are not a PID's
-# Defaults that decide what is found; a command is told without them.
-USUAL: dict[str, object] = {"terms": FLYING, "budget": 720}
 
 
-def comment(args: argparse.Namespace, checked: dict[str, Evaluation]) -> str:
+def comment(args: TuneOptions, checked: dict[str, Evaluation]) -> str:
     """Return the comment above the settings in the aircraft file."""
-    found = f"Found by `{command(args)}`.\n"
+    found = f"Found by `{args.command}`.\n"
     if args.terms == DISSERTATION:
         evaluation = checked["tuned"]
         effort = evaluation.effort
         return (
-            f"{found}{args.check:,} unseen pulses: MAE {evaluation.tracking.mae.mean():.2f} deg/s, MSE "
+            f"{found}{args.unseen:,} unseen pulses: MAE {evaluation.tracking.mae.mean():.2f} deg/s, MSE "
             f"{evaluation.tracking.mse.mean():.0f}, mean output {effort.output:.3f}, mean change in 1 ms "
             f"{effort.change:.4f}."
         )
     return f"{found}{flights_told(args, checked)}\n{figures_told(checked)}"
 
 
-def flights_told(args: argparse.Namespace, checked: dict[str, Evaluation]) -> str:
+def flights_told(args: TuneOptions, checked: dict[str, Evaluation]) -> str:
     """Return the flights behind the figures at several thrusts, in words."""
     thrusts = ", ".join(name.removeprefix("thrust ") for name in checked)
-    what = f"{args.check:,} unseen commands each, five in a flight and then a hover"
+    what = f"{args.unseen:,} unseen commands each, five in a flight and then a hover"
     return f"{what}, at {thrusts} times the weight:"
 
 
@@ -56,25 +52,6 @@ def figures_told(checked: dict[str, Evaluation]) -> str:
     )
     change = max(item.effort.change for item in checked.values())
     return f"MAE {mae} deg/s, MSE {mse}; mean change of the motor values in 1 ms at most {change:.4f}."
-
-
-def command(args: argparse.Namespace) -> str:
-    """Return the command that finds the same settings: options that decide them, if not the default."""
-    given = {name: getattr(args, name) for name, usual in USUAL.items() if getattr(args, name) != usual}
-    usual_name = "flying" if args.terms == FLYING else "tuned"
-    return command_line(
-        "pid tune",
-        of=None if args.of == PID else args.of,
-        aircraft=Path(args.aircraft).name,
-        seed=args.seed,
-        **given,
-        max_output=args.max_output,
-        max_change=args.max_change,
-        max_idle=args.max_idle,
-        parameters=args.parameters,
-        tuner=args.tuner,
-        name=None if args.name == usual_name else args.name,
-    )
 
 
 def _settings(settings: PidSettings) -> dict[str, Any]:
@@ -95,18 +72,14 @@ def figures_document(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def document(
-    args: argparse.Namespace,
-    aircraft: Aircraft,
-    limits: Limits,
-    tuning: Tuning,
-    checked: dict[str, Evaluation],
+    args: TuneOptions, aircraft: Aircraft, limits: Limits, tuning: PidTuning, checked: dict[str, Evaluation]
 ) -> dict[str, Any]:
     """Return the whole result as JSON data."""
     from neuroflight.toolchain.contract import AXES
 
     found = zip(AXES, tuning.ultimate_gains, strict=True)
     return {
-        "command": command(args),
+        "command": args.command,
         "aircraft": aircraft.name,
         "aircraft_sha256": aircraft.sha256,
         "seed": args.seed,
@@ -122,81 +95,103 @@ def document(
         "ultimate": {axis: {"gain": item.gain, "period_s": item.period} for axis, item in found},
         "rules": {rule: _settings(trial.settings) for rule, trial in tuning.rules.items()},
         "settings": _settings(tuning.best.settings),
-        "unseen": args.check,
+        "unseen": args.unseen,
         "figures": {name: figures_document(evaluation) for name, evaluation in checked.items()},
     }
 
 
 def print_tables(
-    console: Console,
-    args: argparse.Namespace,
-    aircraft: Aircraft,
-    tuning: Tuning,
-    checked: dict[str, Evaluation],
+    args: TuneOptions, aircraft: Aircraft, tuning: PidTuning, checked: dict[str, Evaluation]
 ) -> None:
     """Print gains and figures as tables."""
-    from rich.table import Table
-
     from neuroflight.toolchain.contract import AXES
 
-    gains = Table(title=f"PID of {aircraft.name}: K_P, K_I, K_D", title_justify="left")
-    for heading in ("", *AXES):
-        gains.add_column(heading, justify="right" if heading else "left")
-    gains.add_row("K_u, T_u", *(f"{u.gain:.3g}, {1e3 * u.period:.0f} ms" for u in tuning.ultimate_gains))
+    ultimate = (f"{u.gain:.3g}, {1e3 * u.period:.0f} ms" for u in tuning.ultimate_gains)
+    gains: list[tuple[str, ...]] = [("", *AXES), ("K_u, T_u", *ultimate)]
     for name, trial in (*tuning.rules.items(), ("tuned", tuning.best)):
         sets = (", ".join(f"{value:.3g}" for value in axis) for axis in trial.settings.gains)
-        gains.add_row(name, *sets)
-    console.print(gains)
+        gains.append((name, *sets))
     best = tuning.best.settings
-    console.print(f"derivative low-pass {best.derivative_cutoff_hz:g} Hz, idle {best.idle:g}\n")
+    note = f"derivative low-pass {best.derivative_cutoff_hz:g} Hz, idle {best.idle:g}\n"
+    print_table(f"PID of {aircraft.name}: K_P, K_I, K_D", gains, note)
 
-    what = "pulses" if args.terms == DISSERTATION else "commands each, five in a flight"
-    table = Table(title=f"{args.check:,} unseen {what}, seed {args.seed}", title_justify="left")
-    for heading in ("", *checked):
-        table.add_column(heading, justify="right" if heading else "left")
-    add_errors(table, checked)
+    old = args.terms == DISSERTATION
+    what = "pulses" if old else "commands each, five in a flight"
+    rows = _error_rows(checked)
     efforts = [evaluation.effort for evaluation in checked.values()]
-    if args.terms == DISSERTATION:
-        table.add_row("mean output ū", *(f"{item.output:.3f}" for item in efforts))
-    of = "" if args.terms == DISSERTATION else " of the motor values"
-    table.add_row(f"mean |Δu|{of} in 1 ms", *(f"{item.change:.4f}" for item in efforts))
-    console.print(table)
+    if old:
+        rows.append(("mean output ū", *(f"{item.output:.3f}" for item in efforts)))
+    rows.append((CHANGE if old else MOTOR_CHANGE, *(f"{item.change:.4f}" for item in efforts)))
+    print_table(f"{args.unseen:,} unseen {what}, seed {args.seed}", rows)
     if args.write:
-        console.print(f"[pid.{args.name}] is in {args.write}", markup=False, highlight=False)
+        print(f"[pid.{args.table}] is in {args.write}")
 
 
-def add_errors(table: Table, checked: dict[str, Evaluation]) -> None:
-    """Add the rows of errors, a column for each evaluation."""
+def _error_rows(checked: dict[str, Evaluation]) -> list[tuple[str, ...]]:
+    """Return the rows of errors below their heading, a column for each evaluation."""
     errors = [evaluation.tracking for evaluation in checked.values()]
-    table.add_row("MAE, deg/s", *(_each(item.mae, 2) for item in errors))
-    table.add_row("  average", *(f"{item.mae.mean():.2f}" for item in errors))
-    table.add_row("MSE, (deg/s)²", *(_each(item.mse, 0) for item in errors))
-    table.add_row("  average", *(f"{item.mse.mean():,.0f}" for item in errors))
+    return [
+        ("", *checked),
+        ("MAE, deg/s", *(_each(item.mae, 2) for item in errors)),
+        ("  average", *(f"{item.mae.mean():.2f}" for item in errors)),
+        ("MSE, (deg/s)²", *(_each(item.mse, 0) for item in errors)),
+        ("  average", *(f"{item.mse.mean():,.0f}" for item in errors)),
+    ]
 
 
-def print_thrusts(
-    console: Console, title: str, args: argparse.Namespace, of_thrusts: dict[str, Evaluation]
+def searched_told(args: TuneOptions, tuning: Tuning[Any], checked: Checked) -> list[str]:
+    """Return the comment above what was found for another controller than a PID."""
+    told = [f"Found by `{args.command}`."]
+    if tuning.interrupted:
+        told.append(f"Interrupted after {len(tuning.trials)} candidates.")
+    told.append(flights_told(args, checked[DEFAULTS]))
+    return [*told, *(f"{name}: {figures_told(each)}" for name, each in checked.items())]
+
+
+def print_searched(
+    args: TuneOptions,
+    aircraft: Aircraft,
+    label: str,
+    tuning: Tuning[Any],
+    checked: Checked,
+    facts: dict[str, Any],
+    lines: Sequence[str],
 ) -> None:
-    """Print figures at several thrusts as a table."""
-    from rich.table import Table
+    """Print what was found for another controller than a PID: facts as JSON, or lines below the tables."""
+    if args.json:
+        print_json(
+            {
+                "command": args.command,
+                **facts,
+                "aircraft": aircraft.name,
+                "aircraft_sha256": aircraft.sha256,
+                "seed": args.seed,
+                "candidates": len(tuning.trials),
+                "interrupted": tuning.interrupted,
+                "limits": {"change": args.limit, "change_of": "motors"},
+                "unseen": args.unseen,
+                "figures": {
+                    name: {thrust: figures_document(each) for thrust, each in of_thrusts.items()}
+                    for name, of_thrusts in checked.items()
+                },
+            }
+        )
+        return
+    what = f"{args.unseen:,} unseen commands each, five in a flight, seed {args.seed}"
+    for name, of_thrusts in checked.items():
+        changes = (f"{each.effort.change:.4f}" for each in of_thrusts.values())
+        rows = [*_error_rows(of_thrusts), (MOTOR_CHANGE, *changes)]
+        print_table(f"{label}, {name}: {what}", rows)
+    print(*lines, sep="\n")
 
-    what = f"{args.check:,} unseen commands each, five in a flight, seed {args.seed}"
-    table = Table(title=f"{title}: {what}", title_justify="left")
-    for heading in ("", *of_thrusts):
-        table.add_column(heading, justify="right" if heading else "left")
-    add_errors(table, of_thrusts)
-    changes = (f"{each.effort.change:.4f}" for each in of_thrusts.values())
-    table.add_row("mean |Δu| of the motor values in 1 ms", *changes)
-    console.print(table)
 
-
-def keeps_limit(args: argparse.Namespace, of_thrusts: dict[str, Evaluation]) -> int:
+def keeps_limit(args: TuneOptions, of_thrusts: dict[str, Evaluation]) -> int:
     """Return 0; 1, said on stderr, where the motors change by more than the limit."""
     change = max(each.effort.change for each in of_thrusts.values())
     if change <= args.limit:
         return 0
     print(
-        f"the motors change by {change:.4f} in 1 ms, more than {args.limit:g}; try a larger --budget or "
+        f"the motors change by {change:.4f} in 1 ms, more than {args.limit:g}; try a larger --candidates or "
         "a wider limit",
         file=sys.stderr,
     )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from neuroflight.cli.pid.report import BETAFLIGHT, FLYING
+from neuroflight.cli.pid.options import BETAFLIGHT, FLYING, TuneOptions
+from neuroflight.cli.progress import progress_bars
 from neuroflight.toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
@@ -17,12 +18,12 @@ if TYPE_CHECKING:
 
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.training.evaluation.evaluation import Evaluation, Flights
+    from neuroflight.training.pid_tuning.trial import Tuning
     from neuroflight.training.pid_tuning.tuner import MakeTuner
     from neuroflight.training.tasks.flight import FlightTask
 
 CHECKED_MAX = 500  # commands at each thrust: a Betaflight for each flight at a time
 OF_A_PID = ("max_output", "max_idle", "name", "plot")  # options of its search alone
-Show = Callable[[int, int], None]  # how much is done, of how much
 
 
 class Candidate(Protocol):
@@ -39,24 +40,19 @@ class Candidate(Protocol):
         ...
 
 
-def check_thrusts_only(args: argparse.Namespace) -> None:
-    """Refuse options of a PID's search and fill in the defaults of all others. Raises NeuroflightError."""
-    from neuroflight.cli.compare.controllers import check_ranges
+def check_thrusts_only(args: TuneOptions) -> None:
+    """Refuse what only a PID's search has. Raises NeuroflightError."""
     from neuroflight.cli.output import check_output
-    from neuroflight.training.pid_tuning.flying import CHANGE
 
     if args.terms != FLYING:
         raise TrainingError(f"--terms {args.terms}: of a PID's search; all others are by flying terms")
-    for name in OF_A_PID:
-        if getattr(args, name) is not None:
-            raise TrainingError(f"--{name.replace('_', '-')}: of a PID's search; leave it out")
-    args.check = 50 if args.check is None else args.check
-    check_ranges(("--check", args.check, 1, CHECKED_MAX))
+    args.refuse(*OF_A_PID, because="of a PID's search; leave it out")
+    if args.unseen > CHECKED_MAX:
+        raise TrainingError(f"--unseen {args.unseen}, expected 1 to {CHECKED_MAX}")
     check_output(args.write, ".txt" if args.of == BETAFLIGHT else ".toml")
-    args.limit = CHANGE if args.max_change is None else args.max_change
 
 
-def chosen_tuner(args: argparse.Namespace) -> MakeTuner:
+def chosen_tuner(args: TuneOptions) -> MakeTuner:
     """Return the search method: CMA-ES, or the user's own."""
     from neuroflight.training.pid_tuning.cma_es import CmaEs
     from neuroflight.training.pid_tuning.tuner import load_tuner
@@ -70,33 +66,20 @@ def search_bar(budget: int, first: str) -> Iterator[Callable[[int, Candidate], N
 
     first: what is flown before the search.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description:<44}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(first, total=budget)
+    with progress_bars() as bar:
+        show_bar = bar(first)
 
         def show(flown: int, best: Candidate) -> None:
             figures = f"MAE {best.mae:.2f}  |Δu| {best.change:.4f}"
-            bar.update(task, completed=min(flown, budget), description=f"search  {figures}")
+            show_bar(min(flown, budget), budget, f"search  {figures}")
 
         yield show
 
 
-@contextmanager
-def flights_bar() -> Iterator[Callable[[str], Show]]:
-    """Show the final flights on a terminal; yields a function that begins a line."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-
-        def begin(what: str) -> Show:
-            task = bar.add_task(what)
-            return lambda done, total: bar.update(task, completed=done, total=total)
-
-        yield begin
+def tell_interruption(tuning: Tuning[Any]) -> None:
+    """Say on stderr that the user ended a search, if so."""
+    if tuning.interrupted:
+        print(f"interrupted after {len(tuning.trials)} candidates; the best is kept", file=sys.stderr)
 
 
 def final_flights(aircraft: Aircraft, idle: float, commands: int) -> tuple[FlightTask, NDArray[np.float32]]:

@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from neuroflight.cli.pid.report import (
-    DEFAULTS,
-    TUNED,
-    command,
-    figures_document,
-    figures_told,
-    flights_told,
-    keeps_limit,
-    print_thrusts,
-)
-from neuroflight.cli.pid.search import by_thrust, chosen_tuner, final_flights, flights_bar, search_bar
+from neuroflight.cli.pid.report import DEFAULTS, TUNED, Checked, keeps_limit, print_searched, searched_told
+from neuroflight.cli.pid.search import by_thrust, chosen_tuner, final_flights, search_bar, tell_interruption
+from neuroflight.cli.progress import progress_bars
 
 if TYPE_CHECKING:
+    from neuroflight.cli.pid.options import TuneOptions
     from neuroflight.sim.aircraft.model import Aircraft
-    from neuroflight.training.evaluation.evaluation import Evaluation
     from neuroflight.training.evaluation.users_controller import UsersController
-    from neuroflight.training.pid_tuning.users_tuning import Tuning, Values
+    from neuroflight.training.pid_tuning.trial import Tuning
+    from neuroflight.training.pid_tuning.users_tuning import Values
 
-    Checked = dict[str, dict[str, Evaluation]]  # by values, then by thrust
 
-
-def tune_users_of(args: argparse.Namespace, aircraft: Aircraft) -> int:
+def tune_users_of(args: TuneOptions, aircraft: Aircraft) -> int:
     """Tune, fly unseen commands, write and print. Returns 1 where the limit is not kept."""
     from neuroflight.toolchain.files import write_text
     from neuroflight.training.evaluation.users_controller import load_users_controller, values_text
@@ -48,30 +36,35 @@ def tune_users_of(args: argparse.Namespace, aircraft: Aircraft) -> int:
             progress=show,
             tuner=chosen_tuner(args),
         )
-    if tuning.interrupted:
-        print(f"interrupted after {len(tuning.trials)} candidates; the best is kept", file=sys.stderr)
+    tell_interruption(tuning)
     checked = _fly_unseen(args, controller, aircraft, tuning)
     if args.write:
-        told = [f"Found by `{command(args)}`.", flights_told(args, checked[DEFAULTS])]
-        told += [f"{name}: {figures_told(each)}" for name, each in checked.items()]
-        write_text(args.write, values_text(tuning.best.values, "\n".join(told)))
-    if args.json:
-        print(json.dumps(_document(args, aircraft, controller, tuning, checked), indent=2))
-    else:
-        _print(args, controller, tuning, checked)
+        comment = "\n".join(searched_told(args, tuning, checked))
+        write_text(args.write, values_text(tuning.best.settings, comment))
+    found = tuning.best.settings
+    facts = {
+        "of": controller.name,
+        "file_sha256": controller.sha256,
+        "costs": {DEFAULTS: tuning.start.cost, TUNED: tuning.best.cost},
+        "parameters": dict(found),
+    }
+    lines = [f"{name} = {value!r}" for name, value in found.items()]
+    if args.write:
+        lines.append(f"\n{args.write}: fly it as {controller.name}:{args.write}")
+    print_searched(args, aircraft, controller.name, tuning, checked, facts, lines)
     return keeps_limit(args, checked[TUNED])
 
 
 def _fly_unseen(
-    args: argparse.Namespace, controller: UsersController, aircraft: Aircraft, tuning: Tuning
+    args: TuneOptions, controller: UsersController, aircraft: Aircraft, tuning: Tuning[Values]
 ) -> Checked:
     """Return the figures as the class says and as found, in the flights of a PID's check."""
     from neuroflight.training.evaluation.evaluation import record
 
-    task, throttle = final_flights(aircraft, controller.idle, args.check)
-    both: dict[str, Values] = {DEFAULTS: controller.values, TUNED: tuning.best.values}
+    task, throttle = final_flights(aircraft, controller.idle, args.unseen)
+    both: dict[str, Values] = {DEFAULTS: controller.values, TUNED: tuning.best.settings}
     checked: Checked = {}
-    with flights_bar() as bar:
+    with progress_bars() as bar:
         for name, values in both.items():
             flown = record(
                 controller.build(aircraft, len(throttle), values),
@@ -84,47 +77,7 @@ def _fly_unseen(
                 idle=controller.idle,
                 mix=controller.mix,
                 gyro_mean=controller.gyro_mean,
-                progress=bar(f"{name}: {args.check} unseen commands at each thrust"),
+                progress=bar(f"{name}: {args.unseen} unseen commands at each thrust"),
             )
             checked[name] = by_thrust(flown)
     return checked
-
-
-def _document(
-    args: argparse.Namespace,
-    aircraft: Aircraft,
-    controller: UsersController,
-    tuning: Tuning,
-    checked: Checked,
-) -> dict[str, Any]:
-    """Return the whole result as JSON data."""
-    return {
-        "command": command(args),
-        "of": controller.name,
-        "file_sha256": controller.sha256,
-        "aircraft": aircraft.name,
-        "aircraft_sha256": aircraft.sha256,
-        "seed": args.seed,
-        "candidates": len(tuning.trials),
-        "interrupted": tuning.interrupted,
-        "limits": {"change": args.limit, "change_of": "motors"},
-        "costs": {DEFAULTS: tuning.start.cost, TUNED: tuning.best.cost},
-        "parameters": dict(tuning.best.values),
-        "unseen": args.check,
-        "figures": {
-            name: {thrust: figures_document(each) for thrust, each in of_thrusts.items()}
-            for name, of_thrusts in checked.items()
-        },
-    }
-
-
-def _print(args: argparse.Namespace, controller: UsersController, tuning: Tuning, checked: Checked) -> None:
-    """Print values and figures, as a PID's."""
-    from rich.console import Console
-
-    for name, of_thrusts in checked.items():
-        print_thrusts(Console(), f"{controller.name}, {name}", args, of_thrusts)
-    for name, value in tuning.best.values.items():
-        print(f"{name} = {value!r}")
-    if args.write:
-        print(f"\n{args.write}: fly it as {controller.name}:{args.write}")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from neuroflight.cli.plugins import add_plugin_argument, load_named
+from neuroflight.cli.options import Json, picture
+from neuroflight.cli.plugins import WithPlugins
+from neuroflight.cli.report import print_json, print_table, with_margin
+from neuroflight.cli.requests import Argument, Option
 
 if TYPE_CHECKING:
     from neuroflight.sim.analysis.confidence import Mean
@@ -22,61 +24,58 @@ NOTE = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "runs",
-        nargs="+",
-        type=Path,
-        metavar="RUN",
-        help="folders that `train` wrote; one of --seeds K counts with all its seeds",
-    )
-    parser.add_argument(
-        "--label",
-        nargs="+",
-        metavar="NAME",
-        help="one for each RUN; runs with the same label are seeds of one configuration; default: the "
-        "folders' names",
-    )
-    add_plugin_argument(parser)
-    parser.add_argument(
-        "--episodes",
-        action="store_true",
-        help="draw the reward summed over an episode, not of a control step",
-    )
-    parser.add_argument("--each-seed", action="store_true", help="draw each seed instead of their mean")
-    parser.add_argument(
-        "--plot", type=Path, metavar="FILE.png", help="draw the curves, a panel a configuration"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+@dataclass(frozen=True, kw_only=True)
+class Curves(WithPlugins):
+    """A request for training curves."""
+
+    runs: Annotated[
+        tuple[Path, ...],
+        Argument(
+            "RUN", "folders that `train` wrote; one of --seeds K counts with all its seeds", most=RUNS_MAX
+        ),
+    ]
+    label: Annotated[
+        tuple[str, ...] | None,
+        Option(
+            "NAME",
+            "one for each RUN; runs with the same label are seeds of one configuration; default: the "
+            "folders' names",
+        ),
+    ] = None
+    episodes: Annotated[
+        bool,
+        Option(
+            None,
+            "draw the reward summed over an episode, not of a control step",
+            name="--by-episode",
+            old=("--episodes",),
+            recorded=False,
+        ),
+    ] = False
+    each_seed: Annotated[bool, Option(None, "draw each seed instead of their mean", recorded=False)] = False
+    plot: Annotated[Path | None, picture("draw the curves, a panel a configuration")] = None
+    json: Json = False
+
+    def run(self) -> int:
+        """Read the runs, print their figures, draw."""
+        from neuroflight.sim.plotting import save_png
+        from neuroflight.training.runs.learning_curves import curves
+        from neuroflight.training.runs.learning_curves_plot import draw_curves
+
+        self.load_named()
+        labels = _labels(self)
+        found = curves(self.runs, labels)
+        if self.plot:
+            title = "Reward of training episodes" if self.episodes else "Reward in training"
+            save_png(self.plot, draw_curves(found, title, episodes=self.episodes, seeds=self.each_seed))
+        if self.json:
+            print_json({"command": self.command, "curves": [_document(curve) for curve in found]})
+        else:
+            _print(found, episodes=self.episodes)
+        return 0
 
 
-def run(args: argparse.Namespace) -> int:
-    """Read the runs, print their figures, draw."""
-    from neuroflight.cli.output import check_output
-    from neuroflight.sim.plotting import save_png
-    from neuroflight.toolchain.errors import TrainingError
-    from neuroflight.training.runs.learning_curves import curves
-    from neuroflight.training.runs.learning_curves_plot import draw_curves
-
-    load_named(args)
-    labels = _labels(args)
-    if len(args.runs) > RUNS_MAX:
-        raise TrainingError(f"{len(args.runs)} runs, expected 1 to {RUNS_MAX}")
-    check_output(args.plot, ".png")
-    found = curves(args.runs, labels)
-    if args.plot:
-        title = "Reward of training episodes" if args.episodes else "Reward in training"
-        save_png(args.plot, draw_curves(found, title, episodes=args.episodes, seeds=args.each_seed))
-    if args.json:
-        print(
-            json.dumps({"command": _command(args), "curves": [_document(curve) for curve in found]}, indent=2)
-        )
-    else:
-        _print(found, episodes=args.episodes)
-    return 0
-
-
-def _labels(args: argparse.Namespace) -> list[str]:
+def _labels(args: Curves) -> list[str]:
     from neuroflight.toolchain.errors import TrainingError
 
     if args.label is None:
@@ -88,17 +87,9 @@ def _labels(args: argparse.Namespace) -> list[str]:
     return list(args.label)
 
 
-def _command(args: argparse.Namespace) -> str:
-    from neuroflight.cli.output import command_line
-
-    return command_line("policy curves", *map(str, args.runs), label=args.label)
-
-
 def _document(curve: Curve) -> dict[str, object]:
-    from neuroflight.training.evaluation.evaluation import interval
-
     episode = curve.episode_steps
-    final = interval(curve.final)
+    final = curve.final.document()
     reached = curve.reached_steps
     return {
         "label": curve.label,
@@ -109,7 +100,7 @@ def _document(curve: Curve) -> dict[str, object]:
         "final": final,
         "final_episode": {name: episode * value for name, value in final.items()},
         "trend_end": float(curve.trend[-1]),
-        "steps_to_95": None if reached is None else {**interval(reached), "seeds": int(reached.count)},
+        "steps_to_95": None if reached is None else {**reached.document(), "seeds": int(reached.count)},
         "best_seed": curve.best.seed,
         "runs": [
             {
@@ -125,8 +116,6 @@ def _document(curve: Curve) -> dict[str, object]:
 
 
 def _print(found: Sequence[Curve], *, episodes: bool) -> None:
-    from neuroflight.cli.report import print_table
-
     heading = "reward of an episode" if episodes else "reward"
     rows: list[tuple[str, ...]] = [("", "seeds", "steps", heading, "95 % after", "best seed")]
     for curve in found:
@@ -145,7 +134,5 @@ def _print(found: Sequence[Curve], *, episodes: bool) -> None:
 
 
 def _interval(mean: Mean, factor: float, digits: int) -> str:
-    value = f"{factor * float(mean.value):,.{digits}f}"
-    if int(mean.count) < 2:
-        return value
-    return f"{value} ± {factor * float(mean.high - mean.low) / 2:,.{digits}f}"
+    margin = factor * float(mean.high - mean.low) / 2 if int(mean.count) > 1 else 0.0
+    return with_margin(factor * float(mean.value), margin, digits)

@@ -2,136 +2,142 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
-import re
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from neuroflight.toolchain.contract import Mix
+from neuroflight.cli.options import Json
+from neuroflight.cli.report import print_json
+from neuroflight.cli.requests import Argument, Option, Request
+from neuroflight.toolchain.contract import IDLE_MAX, Mix
 
 if TYPE_CHECKING:
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.toolchain.policy.model import PolicyModel
     from neuroflight.toolchain.policy.model_constants import ModelConstants
 
-EPILOG = (
+ABOUT = (
     "A checkpoint of `neuroflight policy train` knows its observation, rate and aircraft. A model of another "
     "trainer (ONNX, raw observation in, motor fractions out) is told them here."
 )
 
 
+CLAIMS = (  # options that only a model of another trainer needs; the first three always
+    *("observation", "rate", "aircraft", "filters", "idle", "mix", "output", "input_order", "constant"),
+    *("output_range", "clip"),
+)
 RESTING = 0.2  # motor fraction; a policy that leaves the thrust to the pilot rests below
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    parser.add_argument(
-        "source", type=Path, metavar="CHECKPOINT|MODEL.onnx", help="checkpoint.pt of a training, or any ONNX"
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="POLICY.onnx")
-    parser.add_argument("--observation", metavar="BLOCKS", help="what the model observes, e.g. rate,throttle")
-    parser.add_argument("--rate", type=int, metavar="HZ", help="control rate it was trained at")
-    parser.add_argument("--aircraft", metavar="NAME|FILE", help="shipped name or .toml it was trained for")
-    parser.add_argument(
-        "--filters", metavar="JSON", help='gyro filters it was trained behind, [] or [["mean"]]; default: []'
-    )
-    parser.add_argument(
-        "--idle",
-        type=float,
-        metavar="U",
-        help="motor fraction without thrust it was trained with; default: 0",
-    )
-    parser.add_argument(
-        "--mix",
-        choices=[mix.text for mix in Mix],
-        help="how its outputs and the throttle were mixed in training; default: attitude-first",
-    )
-    parser.add_argument("--output", metavar="NAME", help="which output is the action, if there are several")
-    parser.add_argument(
-        "--input-order",
-        metavar="NAME,NAME",
-        help="order in which several inputs make the observation; default: the model's",
-    )
-    parser.add_argument(
-        "--constant",
-        action="append",
-        metavar="NAME=VALUE",
-        help="value of an input that the firmware does not have, such as episode_starts=0; may be repeated",
-    )
-    parser.add_argument(
-        "--output-range",
-        metavar="LO,HI",
-        help="what its outputs ranged over in training, -1,1 for most trainers; mapped to 0..1",
-    )
-    # argparse takes what begins with - for an option, but for what this calls a number: -1,1 is two of them.
-    parser._negative_number_matcher = re.compile(r"-[\d.]")
-    parser.add_argument(
-        "--clip",
-        action="store_true",
-        help="append a Clip to [0, 1] if the model has none: its outputs are motor fractions already",
-    )
-    parser.add_argument(
-        "--unfolded",
-        action="store_true",
-        help="of a checkpoint: leave its observation scale and output map as operations of their own, to "
-        "compare with what is left once they are folded",
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a line")
+@dataclass(frozen=True, kw_only=True)
+class Import(Request):
+    """A request for policy.onnx from a checkpoint or another trainer's model."""
 
+    source: Annotated[Path, Argument("CHECKPOINT|MODEL.onnx", "checkpoint.pt of a training, or any ONNX")]
+    out: Annotated[Path, Option("POLICY.onnx", "the policy", suffix=".onnx")]
+    observation: Annotated[str | None, Option("BLOCKS", "what the model observes, e.g. rate,throttle")] = None
+    rate: Annotated[int | None, Option("HZ", "control rate it was trained at")] = None
+    aircraft: Annotated[str | None, Option("NAME|FILE", "shipped name or .toml it was trained for")] = None
+    filters: Annotated[
+        str | None, Option("JSON", 'gyro filters it was trained behind, [] or [["mean"]]; default: []')
+    ] = None
+    idle: Annotated[
+        float | None,
+        Option("U", "motor fraction without thrust it was trained with; default: 0", low=0.0, high=IDLE_MAX),
+    ] = None
+    mix: Annotated[
+        str | None,
+        Option(
+            None,
+            "how its outputs and the throttle were mixed in training; default: attitude-first",
+            choices=tuple(mix.text for mix in Mix),
+        ),
+    ] = None
+    output: Annotated[str | None, Option("NAME", "which output is the action, if there are several")] = None
+    input_order: Annotated[
+        str | None,
+        Option("NAME,NAME", "order in which several inputs make the observation; default: the model's"),
+    ] = None
+    constant: Annotated[
+        tuple[str, ...],
+        Option(
+            "NAME=VALUE",
+            "value of an input that the firmware does not have, such as episode_starts=0; may be repeated",
+            once=True,
+        ),
+    ] = ()
+    output_range: Annotated[
+        str | None,
+        Option("LO,HI", "what its outputs ranged over in training, -1,1 for most trainers; mapped to 0..1"),
+    ] = None
+    clip: Annotated[
+        bool,
+        Option(
+            None, "append a Clip to [0, 1] if the model has none: its outputs are motor fractions already"
+        ),
+    ] = False
+    unfolded: Annotated[
+        bool,
+        Option(
+            None,
+            "of a checkpoint: leave its observation scale and output map as operations of their own, to "
+            "compare with what is left once they are folded",
+        ),
+    ] = False
+    json: Json = False
 
-def run(args: argparse.Namespace) -> int:
-    """Write POLICY.onnx and print its contents."""
-    from neuroflight.cli.output import check_output
-    from neuroflight.toolchain.errors import PolicyError
-    from neuroflight.toolchain.passes import size
-    from neuroflight.toolchain.policy.freeze import freeze
-    from neuroflight.toolchain.policy.import_onnx import is_checkpoint
-    from neuroflight.toolchain.policy.model import read_policy
+    more: ClassVar[str] = f". {ABOUT}"
 
-    check_output(args.out, ".onnx")
-    changes: Sequence[str] = ()
-    if is_checkpoint(args.source):
-        _reject_claims(args)
-        freeze(args.source, args.out, fold=not args.unfolded)
-        policy = read_policy(args.out)
-    else:
-        if args.unfolded:
-            raise PolicyError(
-                f"--unfolded: {args.source} is an ONNX model and is kept as it is; leave it out"
-            )
-        policy, changes = _import(args)
-    if args.json:
-        document = {
-            "source": str(args.source),
-            "policy": str(args.out),
-            "policy_sha256": policy.source_sha256,
-            "network": policy.network.text,
-            "graph": asdict(size(policy.network)) | {"file_bytes": args.out.stat().st_size},
-            "observation": policy.observation,
-            "control_rate_hz": policy.control_rate_hz,
-            "filters": policy.filters,
-            "idle": policy.idle,
-            "at_rest": _at_rest(policy),
-            "mix": policy.mix.text,
-            "model": None if policy.model is None else policy.model.document(),
-            "aircraft": policy.aircraft,
-            "aircraft_sha256": policy.aircraft_sha256,
-            "changes": list(changes),
-        }
-        print(json.dumps(document, indent=2))
+    def run(self) -> int:
+        """Write POLICY.onnx and print its contents."""
+        from neuroflight.toolchain.errors import PolicyError
+        from neuroflight.toolchain.passes import size
+        from neuroflight.toolchain.policy.freeze import freeze
+        from neuroflight.toolchain.policy.import_onnx import is_checkpoint
+        from neuroflight.toolchain.policy.model import read_policy
+
+        changes: Sequence[str] = ()
+        if is_checkpoint(self.source):
+            _reject_claims(self)
+            freeze(self.source, self.out, fold=not self.unfolded)
+            policy = read_policy(self.out)
+        else:
+            if self.unfolded:
+                raise PolicyError(
+                    f"--unfolded: {self.source} is an ONNX model and is kept as it is; leave it out"
+                )
+            policy, changes = _import(self)
+        if self.json:
+            document = {
+                "source": str(self.source),
+                "policy": str(self.out),
+                "policy_sha256": policy.source_sha256,
+                "network": policy.network.text,
+                "graph": asdict(size(policy.network)) | {"file_bytes": self.out.stat().st_size},
+                "observation": policy.observation,
+                "control_rate_hz": policy.control_rate_hz,
+                "filters": policy.filters,
+                "idle": policy.idle,
+                "at_rest": _at_rest(policy),
+                "mix": policy.mix.text,
+                "model": None if policy.model is None else policy.model.document(),
+                "aircraft": policy.aircraft,
+                "aircraft_sha256": policy.aircraft_sha256,
+                "changes": list(changes),
+            }
+            print_json(document)
+            return 0
+        for change in changes:
+            print(change)
+        print(
+            f"{self.source} -> {self.out}: {policy.network.text}, {policy.aircraft}, "
+            f"{policy.control_rate_hz} Hz, mix {policy.mix.text}, filters {json.dumps(policy.filters)}"
+        )
+        print(_rest_words(policy, _at_rest(policy)))
         return 0
-    for change in changes:
-        print(change)
-    print(
-        f"{args.source} -> {args.out}: {policy.network.text}, {policy.aircraft}, "
-        f"{policy.control_rate_hz} Hz, mix {policy.mix.text}, filters {json.dumps(policy.filters)}"
-    )
-    print(_rest_words(policy, _at_rest(policy)))
-    return 0
 
 
 def _at_rest(policy: PolicyModel) -> list[float]:
@@ -156,28 +162,11 @@ def _rest_words(policy: PolicyModel, outputs: Sequence[float]) -> str:
     return words
 
 
-def _claims(args: argparse.Namespace) -> dict[str, object]:
-    """Return the options that only a model of another trainer needs, as given."""
-    return {
-        "--observation": args.observation,
-        "--rate": args.rate,
-        "--aircraft": args.aircraft,
-        "--filters": args.filters,
-        "--idle": args.idle,
-        "--mix": args.mix,
-        "--output": args.output,
-        "--input-order": args.input_order,
-        "--constant": args.constant,
-        "--output-range": args.output_range,
-        "--clip": args.clip or None,
-    }
-
-
-def _reject_claims(args: argparse.Namespace) -> None:
+def _reject_claims(args: Import) -> None:
     from neuroflight.toolchain.errors import PolicyError
     from neuroflight.toolchain.policy.freeze import load_checkpoint
 
-    if given := [name for name, value in _claims(args).items() if value is not None]:
+    if given := args.given(*CLAIMS):
         load_checkpoint(args.source)  # which says so if it is another trainer's
         raise PolicyError(
             f"{args.source} is a checkpoint, which knows its own observation, rate, filters, idle, mix "
@@ -185,22 +174,20 @@ def _reject_claims(args: argparse.Namespace) -> None:
         )
 
 
-def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
+def _import(args: Import) -> tuple[PolicyModel, Sequence[str]]:
     from neuroflight.sim.aircraft.model import load_aircraft
-    from neuroflight.toolchain.contract import IDLE_DEFAULT, IDLE_MAX
+    from neuroflight.toolchain.contract import IDLE_DEFAULT
     from neuroflight.toolchain.errors import PolicyError
     from neuroflight.toolchain.policy.import_onnx import PolicyClaims, import_onnx
     from neuroflight.toolchain.policy.output_map import OutputRange
     from neuroflight.toolchain.verification.original import compare
 
-    needed = ("--observation", "--rate", "--aircraft")
-    if missing := [name for name in needed if _claims(args)[name] is None]:
+    if args.observation is None or args.rate is None or args.aircraft is None:
+        missing = [f"--{name}" for name in CLAIMS[:3] if getattr(args, name) is None]
         raise PolicyError(
             f"{args.source} is an ONNX model, of which freeze must be told {', '.join(missing)} "
             "(a checkpoint of `neuroflight policy train` knows them)"
         )
-    if args.idle is not None and not 0.0 <= args.idle <= IDLE_MAX:
-        raise PolicyError(f"--idle {args.idle}, expected 0 to {IDLE_MAX}")
     aircraft = load_aircraft(args.aircraft)
     claims = PolicyClaims(
         observation=args.observation,
@@ -211,7 +198,7 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         motors=aircraft.motor_count,
         idle=IDLE_DEFAULT if args.idle is None else args.idle,
         mix=Mix.of(args.mix or Mix.ATTITUDE_FIRST.text),
-        model=_model(args, aircraft),
+        model=_model(args.observation, args.rate, aircraft),
     )
     if args.clip and args.output_range is not None:
         raise PolicyError("--clip and --output-range: the latter clips what it maps; leave out --clip")
@@ -223,7 +210,7 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         output=args.output,
         output_range=None if args.output_range is None else OutputRange.of(args.output_range),
         input_order=None if args.input_order is None else args.input_order.split(","),
-        constants=dict(map(_constant, args.constant or ())),
+        constants=dict(map(_constant, args.constant)),
         prove=compare,
     )
 
@@ -242,7 +229,7 @@ def _constant(text: str) -> tuple[str, float]:
     return name, number
 
 
-def _model(args: argparse.Namespace, aircraft: Aircraft) -> ModelConstants | None:
+def _model(observation: str, rate: int, aircraft: Aircraft) -> ModelConstants | None:
     """Return the constants of the aircraft's model, where the observation is made by one.
 
     An unknown observation or rate is refused by `import_onnx`.
@@ -251,7 +238,7 @@ def _model(args: argparse.Namespace, aircraft: Aircraft) -> ModelConstants | Non
     from neuroflight.toolchain.contract import needs_model, observation_blocks
 
     try:
-        needed = args.rate > 0 and needs_model(observation_blocks(args.observation))
+        needed = rate > 0 and needs_model(observation_blocks(observation))
     except ValueError:
         return None
-    return model_constants(aircraft, args.rate) if needed else None
+    return model_constants(aircraft, rate) if needed else None

@@ -2,93 +2,87 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from neuroflight.cli.plugins import add_plugin_argument, load_named, words
+from neuroflight.cli.options import Json
+from neuroflight.cli.plugins import WithPlugins
+from neuroflight.cli.report import print_table
+from neuroflight.cli.requests import Argument, Either, Option
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from rich.console import Console
-    from rich.table import Table
 
     from neuroflight.training.sweeps.axes import Varied
     from neuroflight.training.sweeps.config import Sweep
     from neuroflight.training.sweeps.jobs import SweepCallback
     from neuroflight.training.sweeps.summary import Configuration, Run
-    from neuroflight.training.sweeps.trial import AtThrust, Figure
+    from neuroflight.training.sweeps.trial import AtThrust, Outcome
 
-CPUS_MAX = 4096
-WIDTH = 160  # characters of a table printed to a file
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "file", type=Path, metavar="FILE.toml", help="what is varied; see docs/guides/sweeps.md"
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
-    add_plugin_argument(parser)
-    again = parser.add_mutually_exclusive_group()
-    again.add_argument("--resume", action="store_true", help="continue the sweep in --out")
-    again.add_argument("--force", action="store_true", help="replace the sweep in --out")
-    parser.add_argument(
-        "--address",
-        metavar="ADDRESS",
-        help="of a Ray cluster whose nodes all have --out, or local: a Ray session of this machine; "
-        "default: processes of this machine, without Ray",
-    )
-    parser.add_argument("--cpus", type=int, metavar="N", help="runs at a time; default: this machine's cores")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+AGAIN = Either()
+FIGURES = ("MAE, deg/s", "MSE", "ū", "|Δu| in 1 ms", "instr.", "cycles", "train, s")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do the runs with a progress bar, print the tables. Returns 0; 1 if a run failed."""
-    from rich.console import Console
+@dataclass(frozen=True, kw_only=True)
+class MakeSweep(WithPlugins):
+    """A request for many trainings."""
 
-    from neuroflight.cli.output import check_folder, command_line
-    from neuroflight.toolchain.errors import TrainingError
-    from neuroflight.toolchain.files import claimed
-    from neuroflight.training.sweeps.config import load_sweep
-    from neuroflight.training.sweeps.run import RECORD, run_sweep
-    from neuroflight.training.sweeps.summary import configurations
+    file: Annotated[Path, Argument("FILE.toml", "what is varied; see docs/guides/sweeps.md")]
+    out: Annotated[Path, Option("DIR", "folder for the results")]
+    resume: Annotated[bool, Option(None, "continue the sweep in --out", either=AGAIN, recorded=False)] = False
+    force: Annotated[bool, Option(None, "replace the sweep in --out", either=AGAIN)] = False
+    address: Annotated[
+        str | None,
+        Option(
+            "ADDRESS",
+            "of a Ray cluster whose nodes all have --out, or local: a Ray session of this machine; "
+            "default: processes of this machine, without Ray",
+            recorded=False,
+        ),
+    ] = None
+    cpus: Annotated[
+        int | None, Option("N", "runs at a time; default: this machine's cores", low=1, high=4096)
+    ] = None
+    json: Json = False
 
-    cpus = args.cpus if args.cpus is not None else len(os.sched_getaffinity(0))
-    if not 1 <= cpus <= CPUS_MAX:
-        raise TrainingError(f"--cpus {cpus}, expected 1 to {CPUS_MAX}")
-    check_folder(args.out, "--out")
-    plugins = load_named(args)
-    sweep = load_sweep(args.file)
-    command = command_line(
-        "policy sweep", str(args.file), *words(args), out=str(args.out), cpus=args.cpus, force=args.force
-    )
-    with claimed(args.out, "sweep"), _progress_bars(sweep, args.out) as callback:
-        runs = run_sweep(
-            sweep,
-            args.out,
-            cpus=cpus,
-            address=args.address,
-            resume=args.resume,
-            force=args.force,
-            command=command,
-            callback=callback,
-            plugins=plugins,
-        )
-    if args.json:
-        print((args.out / RECORD).read_text(), end="")
-    else:
-        console = Console(width=None if sys.stdout.isatty() else WIDTH)
-        _print(console, args.out, sweep, runs, configurations(runs))
-    failed = [run for run in runs if run.outcome is None]
-    for item in failed:
-        print(f"run {item.trial.number} ({item.trial.folder}) failed: {item.reason}", file=sys.stderr)
-    return 1 if failed else 0
+    def run(self) -> int:
+        """Do the runs with a progress bar, print the tables. Returns 0; 1 if a run failed."""
+        from neuroflight.cli.output import check_folder
+        from neuroflight.toolchain.files import claimed
+        from neuroflight.training.sweeps.config import load_sweep
+        from neuroflight.training.sweeps.run import RECORD, run_sweep
+        from neuroflight.training.sweeps.summary import configurations
+
+        cpus = self.cpus if self.cpus is not None else len(os.sched_getaffinity(0))
+        check_folder(self.out, "--out")
+        plugins = self.load_named()
+        sweep = load_sweep(self.file)
+        with claimed(self.out, "sweep"), _progress_bars(sweep, self.out) as callback:
+            runs = run_sweep(
+                sweep,
+                self.out,
+                cpus=cpus,
+                address=self.address,
+                resume=self.resume,
+                force=self.force,
+                command=self.command,
+                callback=callback,
+                plugins=plugins,
+            )
+        if self.json:
+            print((self.out / RECORD).read_text(), end="")
+        else:
+            _print(self.out, sweep, runs, configurations(runs))
+        failed = [run for run in runs if run.outcome is None]
+        for item in failed:
+            print(f"run {item.trial.number} ({item.trial.folder}) failed: {item.reason}", file=sys.stderr)
+        return 1 if failed else 0
 
 
 @contextmanager
@@ -149,22 +143,20 @@ def _progress_bars(sweep: Sweep, out: Path) -> Iterator[SweepCallback]:
             signal.signal(signal.SIGINT, before)
 
 
-def _print(
-    console: Console, out: Path, sweep: Sweep, runs: Sequence[Run], found: Sequence[Configuration]
-) -> None:
+def _print(out: Path, sweep: Sweep, runs: Sequence[Run], found: Sequence[Configuration]) -> None:
     from neuroflight.training.sweeps.run import PLOT, RECORD, TRIALS
     from neuroflight.training.sweeps.summary import unfit
 
-    console.print(_runs(runs))
+    _print_runs(runs)
     if sweep.validation.thrust:
-        console.print()
-        console.print(_at_thrusts(runs))
+        title = "MAE, deg/s, and |Δu| of the motors in 1 ms, by thrust at rest over the weight"
+        _print_by_thrust(title, runs, _tracking)
         if any(each.current for run in runs if run.outcome for each in run.outcome.thrusts):
-            console.print()
-            console.print(_draws(runs))
+            _print_by_thrust(
+                "Mean current and electric power, by thrust at rest over the weight", runs, _power
+            )
     if any(len(item.runs) > 1 for item in found):
-        console.print()
-        console.print(_configurations(found))
+        _print_configurations(found)
     note = "± is 95 % confidence of the mean: of a run over the commands, of a configuration over its seeds."
     if any(item.front for item in found):
         priced = all(item.predicted_cycles is not None for item in found)
@@ -173,108 +165,67 @@ def _print(
         note += f" Cycles or instructions are not known: {reason}"
     for run in runs:
         if run.outcome and (reason := unfit(run.outcome, sweep.board)):
-            console.print(f"{run.trial.folder}: too large for the board: {reason}", highlight=False)
-    console.print(note, style="dim", markup=False, highlight=False)
-    console.print(f"{out}: {RECORD}, {PLOT}, {TRIALS}/", style="dim", markup=False, highlight=False)
+            print(f"{run.trial.folder}: too large for the board: {reason}")
+    print(note, f"{out}: {RECORD}, {PLOT}, {TRIALS}/", sep="\n")
 
 
-def _runs(runs: Sequence[Run]) -> Table:
+def _print_runs(runs: Sequence[Run]) -> None:
     keys = list(runs[0].trial.varied)
-    table = _table("Runs", ("run", *keys, "drift, °"))
+    rows: list[tuple[str, ...]] = [("run", *keys, "drift, °", *FIGURES)]
     for run in runs:
-        head = [f"{run.trial.number}", *_cells(run.trial.varied, keys)]
+        head = (f"{run.trial.number}", *_cells(run.trial.varied, keys))
         done = run.outcome
         if done is None:
-            table.add_row(*head, run.state)
-            continue
-        table.add_row(
-            *head,
-            f"{done.drift.mean:.1f}" if done.drift else "-",
-            *_figures(done.mae, done.mse, done.output, done.change),
-            _count(done.instructions),
-            _count(done.predicted_cycles),
-            f"{done.training_seconds:,.0f}",
-        )
-    return table
+            rows.append((*head, run.state, *[""] * len(FIGURES)))
+        else:
+            rows.append((*head, f"{done.drift.mean:.1f}" if done.drift else "-", *_figures(done)))
+    print_table("Runs", rows, numbers=FIGURES)
 
 
-def _at_thrusts(runs: Sequence[Run]) -> Table:
-    """Return a table of MAE and |Δu| of the motors at each thrust at rest."""
-    title = "MAE, deg/s, and |Δu| of the motors in 1 ms, by thrust at rest over the weight"
-    return _by_thrust(
-        runs, title, lambda each: f"{each.mae.mean:.2f} {each.change.mean:.4f} ({each.thrust:.2f})"
-    )
+def _tracking(each: AtThrust) -> str:
+    """Return MAE and |Δu| of the motors at a thrust."""
+    return f"{each.mae.mean:.2f} {each.change.mean:.4f} ({each.thrust:.2f})"
 
 
-def _draws(runs: Sequence[Run]) -> Table:
-    """Return a table of electric current and power at each thrust at rest."""
-
-    def shown(each: AtThrust) -> str:
-        if each.current is None or each.power is None:
-            return "-"
-        return f"{each.current.mean:.2f} A {each.power.mean:,.1f} W"
-
-    return _by_thrust(runs, "Mean current and electric power, by thrust at rest over the weight", shown)
+def _power(each: AtThrust) -> str:
+    """Return electric current and power at a thrust."""
+    if each.current is None or each.power is None:
+        return "-"
+    return f"{each.current.mean:.2f} A {each.power.mean:,.1f} W"
 
 
-def _by_thrust(runs: Sequence[Run], title: str, shown: Callable[[AtThrust], str]) -> Table:
-    """Return a table with a column for each thrust at rest."""
-    from rich.table import Table
-
+def _print_by_thrust(title: str, runs: Sequence[Run], shown: Callable[[AtThrust], str]) -> None:
+    """Print a table with a column for each thrust at rest."""
     keys = list(runs[0].trial.varied)
     done = [(run, run.outcome) for run in runs if run.outcome]
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for heading in ("run", *keys):
-        table.add_column(heading, overflow="fold")
-    for each in done[0][1].thrusts if done else ():
-        table.add_column("closed" if each.asked is None else f"{each.asked:g}", justify="right")
+    thrusts = done[0][1].thrusts if done else ()
+    heads = ["closed" if each.asked is None else f"{each.asked:g}" for each in thrusts]
+    rows: list[tuple[str, ...]] = [("run", *keys, *heads)]
     for run, outcome in done:
-        figures = map(shown, outcome.thrusts)
-        table.add_row(f"{run.trial.number}", *_cells(run.trial.varied, keys), *figures)
-    return table
+        rows.append((f"{run.trial.number}", *_cells(run.trial.varied, keys), *map(shown, outcome.thrusts)))
+    print_table(f"\n{title}", rows, numbers=heads)
 
 
-def _configurations(found: Sequence[Configuration]) -> Table:
+def _print_configurations(found: Sequence[Configuration]) -> None:
     keys = list(found[0].varied)
-    table = _table("Configurations", ("", *keys, "seeds"))
+    rows: list[tuple[str, ...]] = [("", *keys, "seeds", *FIGURES)]
     for place, item in enumerate(found, 1):
-        table.add_row(
-            f"{place}{'*' if item.front else ' '}",
-            *_cells(item.varied, keys),
-            f"{len(item.runs)}",
-            *_figures(item.mae, item.mse, item.output, item.change),
-            _count(item.instructions),
-            _count(item.predicted_cycles),
-            f"{item.training_seconds:,.0f}",
-        )
-    return table
-
-
-def _table(title: str, heads: Sequence[str]) -> Table:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for heading in heads:
-        table.add_column(heading, overflow="fold")
-    for heading in ("MAE, deg/s", "MSE", "ū", "|Δu| in 1 ms", "instr.", "cycles", "train, s"):
-        table.add_column(heading, justify="right")
-    return table
+        name = f"{place}{'*' if item.front else ' '}"
+        rows.append((name, *_cells(item.varied, keys), f"{len(item.runs)}", *_figures(item)))
+    print_table("\nConfigurations", rows, numbers=FIGURES)
 
 
 def _cells(varied: Varied, keys: Sequence[str]) -> list[str]:
-    from rich.markup import escape
-
     from neuroflight.training.sweeps.config import shown
 
-    return [escape(shown(varied[key])) for key in keys]
+    return [shown(varied[key]) for key in keys]
 
 
-def _figures(mae: Figure, mse: Figure, output: Figure, change: Figure) -> list[str]:
+def _figures(of: Outcome | Configuration) -> list[str]:
+    """Return the cells under FIGURES."""
+    means = ((of.mae, 2), (of.mse, 0), (of.output, 3), (of.change, 4))
     return [
-        f"{figure.mean:,.{digits}f} ± {figure.margin:,.{digits}f}"
-        for figure, digits in ((mae, 2), (mse, 0), (output, 3), (change, 4))
+        *(f"{each.mean:,.{digits}f} ± {each.margin:,.{digits}f}" for each, digits in means),
+        *("-" if count is None else f"{count:,.0f}" for count in (of.instructions, of.predicted_cycles)),
+        f"{of.training_seconds:,.0f}",
     ]
-
-
-def _count(value: float | None) -> str:
-    return "-" if value is None else f"{value:,.0f}"

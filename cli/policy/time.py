@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from neuroflight.cli.options import Json
+from neuroflight.cli.progress import progress_bars
+from neuroflight.cli.report import print_json, print_table
 from neuroflight.cli.requests import Argument, Option, Request
 
 if TYPE_CHECKING:
@@ -32,13 +33,10 @@ class Time(Request):
         bool, Option(None, "a policy as it stands too, before optimization, and what that saves")
     ] = False
     blocks: Annotated[bool, Option(None, "where the worst case spends its cycles")] = False
-    json: Annotated[bool, Option(None, "print JSON instead of a table")] = False
+    json: Json = False
 
     def run(self) -> int:
         """Build the policy for the Cortex-M7, run it there on many observations and print its cost."""
-        from rich.console import Console
-        from rich.progress import Progress
-
         from neuroflight.toolchain.codegen.compiler import compile_network, compile_policy
         from neuroflight.toolchain.cortex_m7.timing import mixed_observations, time_policy
         from neuroflight.toolchain.errors import NeuroflightError
@@ -49,26 +47,20 @@ class Time(Request):
         compiled = [compile_policy(read_policy(self.policy))]
         if self.unoptimized:
             compiled.append(compile_network(compiled[0].policy, compiled[0].policy.network))
-        quiet = self.json or not sys.stderr.isatty()
-        with (
-            tempfile.TemporaryDirectory(prefix="neuroflight-") as folder,
-            Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar,
-        ):
-            task = bar.add_task("observations", total=self.inputs * len(compiled))
+        with tempfile.TemporaryDirectory(prefix="neuroflight-") as folder, progress_bars(self.json) as bar:
+            shown, whole = bar("observations"), self.inputs * len(compiled)
             timings = []
             for number, each in enumerate(compiled):
 
                 def show(done: int, _: int, before: int = number * self.inputs) -> None:
-                    bar.update(task, completed=before + done)
+                    shown(before + done, whole)
 
                 observations = mixed_observations(self.inputs, each.network.inputs)
                 timings.append(time_policy(each, Path(folder), observations, progress=show))
         timing = timings[0]
         effect = _effect(compiled, timings) if self.unoptimized else None
         if self.json:
-            print(
-                json.dumps(_document(self, timing) | ({"optimization": effect} if effect else {}), indent=2)
-            )
+            print_json(_document(self, timing) | ({"optimization": effect} if effect else {}))
         else:
             _print(self, timing)
             if effect:
@@ -99,19 +91,13 @@ def _figures(compiled: CompiledPolicy, timing: Timing) -> dict[str, Any]:
 
 
 def _print_effect(effect: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for heading in ("optimization", *effect):
-        table.add_column(heading, justify="right" if table.columns else "left", no_wrap=True)
+    rows: list[tuple[str, ...]] = [("optimization", *effect)]
     for name, value in effect["before"].items():
         if value is not None:
             cells = (effect[column][name] for column in effect)
-            table.add_row(
-                name.replace("_", " "), *(f"{n:,.1f}" if isinstance(n, float) else f"{n:,}" for n in cells)
-            )
-    Console(highlight=False).print(table)
+            told = (f"{n:,.1f}" if isinstance(n, float) else f"{n:,}" for n in cells)
+            rows.append((name.replace("_", " "), *told))
+    print_table("", rows)
 
 
 def _document(args: Time, timing: Timing) -> dict[str, Any]:

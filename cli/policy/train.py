@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from neuroflight.cli.plugins import add_plugin_argument, load_named, words
+from neuroflight.cli import options
+from neuroflight.cli.options import Json
+from neuroflight.cli.plugins import WithPlugins
+from neuroflight.cli.progress import progress_bars
+from neuroflight.cli.report import print_json
+from neuroflight.cli.requests import Either, Option
 
 if TYPE_CHECKING:
     from neuroflight.sim.aircraft.model import Aircraft
@@ -22,62 +25,55 @@ if TYPE_CHECKING:
 
 DEFAULT_RECIPE = "nf1"  # of every aircraft that has none of its own
 PLOT, BOARD = "monitor.png", "tensorboard"
-EPILOG = (
+KEPT = Either()
+ABOUT = (
     f"Without --config: the recipe named like a shipped aircraft, for all others {DEFAULT_RECIPE}; with "
     "--algorithm alone, the recipe named like the algorithm, such as ppo, the dissertation's."
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
-    parser.add_argument(
-        "--config", metavar="RECIPE|FILE", help="shipped recipe, a .toml, or the training.json of another run"
+@dataclass(frozen=True, kw_only=True)
+class Train(WithPlugins):
+    """A request to train a policy."""
+
+    aircraft: options.Aircraft = "nf1"
+    config: Annotated[
+        str | None, Option("RECIPE|FILE", "shipped recipe, a .toml, or the training.json of another run")
+    ] = None
+    algorithm: Annotated[str | None, Option("NAME", "such as ppo")] = None
+    steps: Annotated[int | None, Option("N", "control steps, all aircraft together")] = None
+    seed: Annotated[int | None, Option("S", "of the run")] = None
+    seeds: Annotated[
+        int, Option("N", "train N seeds from S on and keep the best; default: 1", usual=True)
+    ] = 1
+    set: Annotated[
+        tuple[str, ...], Option("NAME=VALUE", "change the configuration, such as world.throttle_max=0.8")
+    ] = ()
+    out: Annotated[Path, Option("DIR", "folder for the results", recorded=False)]
+    resume: Annotated[bool, Option(None, "continue the run in --out", either=KEPT, recorded=False)] = False
+    force: Annotated[bool, Option(None, "replace existing results in --out", either=KEPT, recorded=False)] = (
+        False
     )
-    parser.add_argument(
-        "--set",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change the configuration, such as world.throttle_max=0.8",
-    )
-    add_plugin_argument(parser)
-    parser.add_argument("--algorithm", metavar="NAME", help="such as ppo")
-    parser.add_argument("--steps", type=int, metavar="N", help="control steps, all aircraft together")
-    parser.add_argument("--seed", type=int, metavar="S", help="of the run")
-    parser.add_argument(
-        "--seeds",
-        type=int,
-        default=1,
-        metavar="K",
-        help="train K seeds from S on and keep the best; default: 1",
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
-    kept = parser.add_mutually_exclusive_group()
-    kept.add_argument("--resume", action="store_true", help="continue the run in --out")
-    kept.add_argument("--force", action="store_true", help="replace existing results in --out")
-    parser.add_argument("--tensorboard", action="store_true", help=f"write event files into DIR/{BOARD}")
-    parser.add_argument("--json", action="store_true", help="print the record of the run as JSON")
+    tensorboard: Annotated[bool, Option(None, f"write event files into DIR/{BOARD}", recorded=False)] = False
+    json: Json = False
+
+    more: ClassVar[str] = f". {ABOUT}"
+
+    def run(self) -> int:
+        """Train with a progress display, then print the result."""
+        from neuroflight.sim.aircraft.model import load_aircraft
+        from neuroflight.toolchain.files import claimed
+
+        self.load_named()
+        aircraft = load_aircraft(self.aircraft)
+        config = configuration(self, aircraft)
+        _check_folder(self.out)
+        with ExitStack() as claims:
+            claims.enter_context(claimed(self.out, "training"))
+            return _train_all(self, aircraft, config, claims)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Train with a progress display, then print the result."""
-    from neuroflight.sim.aircraft.model import load_aircraft
-    from neuroflight.toolchain.files import claimed
-
-    load_named(args)
-    aircraft = load_aircraft(args.aircraft)
-    config = _config(args, aircraft)
-    _check_folder(args.out)
-    with ExitStack() as claims:
-        claims.enter_context(claimed(args.out, "training"))
-        return _train_all(args, aircraft, config, claims)
-
-
-def _train_all(
-    args: argparse.Namespace, aircraft: Aircraft, config: TrainingConfig, claims: ExitStack
-) -> int:
+def _train_all(args: Train, aircraft: Aircraft, config: TrainingConfig, claims: ExitStack) -> int:
     """Train every seed in --out, which this process has claimed. claims: gets the folders of the seeds."""
     from neuroflight.toolchain.files import claimed
     from neuroflight.toolchain.policy.check_stamp import write_stamp
@@ -100,7 +96,7 @@ def _train_all(
             ending = fitness.choose(planned)
             best = best if ending is None else ending.seed
             if len(planned) > 1:
-                keep(args.out, best, chosen, _command(args, config, args.seeds))
+                keep(args.out, best, chosen, replace(args, seed=config.seed).command)
         except KeyboardInterrupt:
             _draw(args.out, aircraft, planned, best)
             raise
@@ -111,7 +107,7 @@ def _train_all(
     if args.json:
         record = read_record(args.out)
         told = None if ending is None else ending.document()
-        print(json.dumps({"out": str(args.out), **record, "check": told}, indent=2))
+        print_json({"out": str(args.out), **record, "check": told})
     else:
         _print(args, planned, ends, best)
         fitness.tell(args, ending)
@@ -150,42 +146,40 @@ class _Fitness:
 
     def choose(self, planned: tuple[Planned, ...]) -> Ending | None:
         """Return the best checkpoint that is fit, see `choose_fit`; None: nothing was checked."""
-        from neuroflight.cli.policy.check import Checking
         from neuroflight.toolchain.errors import NeuroflightError
         from neuroflight.training.fitness.ending import choose_fit
 
         if self._references is None:
             return None
         try:
-            with Checking() as bar:
-                return choose_fit(self._aircraft, planned, self._references, bar.of)
+            with progress_bars() as bar:
+                return choose_fit(
+                    self._aircraft, planned, self._references, lambda name: bar(f"checking {name}")
+                )
         except NeuroflightError as error:  # the trained policy is kept although its check failed
             self.why = str(error)
             return None
 
-    def tell(self, args: argparse.Namespace, ending: Ending | None) -> None:
+    def tell(self, args: Train, ending: Ending | None) -> None:
         """Print how the check ended, or the command that makes one."""
-        from rich.console import Console
-
         from neuroflight.cli.policy.check import print_end
         from neuroflight.toolchain.policy.check_stamp import check_command
 
-        console = Console(highlight=False, soft_wrap=True)
         policy = args.out / "policy.onnx"
         if ending is None:
             why = f": {self.why}" if self.why else ""
-            console.print(f"not checked{why}; to fly it: {check_command(policy, args.aircraft)}")
+            print(f"not checked{why}; to fly it: {check_command(policy, args.aircraft)}")
             return
         for each in ending.rejected:
-            console.print(f"not fit to fly: {each.name}: {each.reasons[0]}")
+            print(f"not fit to fly: {each.name}: {each.reasons[0]}")
         if not ending.verdict.fit:
-            console.print(f"no checkpoint of {len(ending.rejected)} is fit to fly; train with another --seed")
+            print(f"no checkpoint of {len(ending.rejected)} is fit to fly; train with another --seed")
         elif ending.rejected:
-            console.print(f"went back to: {ending.name}")
-        print_end(ending.verdict, policy, console)
+            print(f"went back to: {ending.name}")
+        print_end(ending.verdict, policy)
 
 
-def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
+def configuration(args: Train, aircraft: Aircraft) -> TrainingConfig:
     """Return the configuration of the arguments. Raises TrainingError if it is invalid."""
     from neuroflight.training.config.config_file import load_config
 
@@ -196,7 +190,7 @@ def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
     return load_config(_source(args, aircraft), overrides)
 
 
-def _source(args: argparse.Namespace, aircraft: Aircraft) -> str | None:
+def _source(args: Train, aircraft: Aircraft) -> str | None:
     """Return the recipe or file that the run begins from; None: `TrainingConfig()`."""
     from neuroflight.sim.aircraft.model import shipped
     from neuroflight.training.config.config_file import recipes
@@ -223,7 +217,7 @@ def _remove_events(planned: tuple[Planned, ...]) -> None:
             path.unlink()
 
 
-def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progress:
+def _train(args: Train, aircraft: Aircraft, item: Planned) -> Progress:
     from neuroflight.cli.policy.train_display import Display
     from neuroflight.training.checkpoints.monitor_process import Monitor
     from neuroflight.training.runs.train import Callbacks, train
@@ -250,7 +244,7 @@ def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progr
                 Callbacks(callbacks),
                 resume=item.done is not None,
                 monitor=monitor,
-                command=_command(args, config),
+                command=replace(args, seed=config.seed, seeds=1).command,
             )
         except KeyboardInterrupt:
             _print_saved_steps(item, before)
@@ -278,23 +272,6 @@ def _written(item: Planned) -> int | None:
     return path.stat().st_mtime_ns if path.exists() else None
 
 
-def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -> str:
-    """Return the command that repeats the run, without --out."""
-    from neuroflight.cli.output import command_line
-
-    return command_line(
-        "policy train",
-        *words(args),
-        aircraft=args.aircraft,
-        config=args.config,
-        algorithm=args.algorithm,
-        steps=args.steps,
-        seed=config.seed,
-        seeds=seeds if seeds > 1 else None,
-        set=args.set or None,
-    )
-
-
 def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int) -> None:
     """Write monitor.png, if there is anything to draw."""
     from neuroflight.sim.plotting import save_png
@@ -309,23 +286,18 @@ def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int
         save_png(out / PLOT, draw_monitored(runs, f"seed {best}", title))
 
 
-def _print(
-    args: argparse.Namespace, planned: tuple[Planned, ...], ends: dict[int, Progress], best: int
-) -> None:
-    from rich.console import Console
-
+def _print(args: Train, planned: tuple[Planned, ...], ends: dict[int, Progress], best: int) -> None:
     from neuroflight.cli.policy.train_display import figures
     from neuroflight.training.checkpoints.selection import within
 
-    console = Console(highlight=False, soft_wrap=True)
     for item in planned:
         seed, end = item.config.seed, ends[item.config.seed]
         name = f"seed {seed}: " if len(planned) > 1 else ""
         if item.finished:
-            console.print(f"{name}was complete: {end.steps:,} steps; nothing was left to train")
+            print(f"{name}was complete: {end.steps:,} steps; nothing was left to train")
         else:
             speed = f" ({end.steps / end.seconds:,.0f} a second)" if end.seconds else ""
-            console.print(f"{name}{end.steps:,} steps in {end.seconds:.0f} s{speed}")
+            print(f"{name}{end.steps:,} steps in {end.seconds:.0f} s{speed}")
     chosen = ends[best].chosen
     if chosen is not None:
         limits = planned[0].config.selection
@@ -335,5 +307,5 @@ def _print(
             if within(chosen, limits)
             else (f"; no checkpoint kept the limits of ū, {limits.output:g}, and |Δu|, {limits.change:g}")
         )
-        console.print(f"chosen: {of}at {chosen.steps:,} steps: {figures(chosen)}{note}")
-    console.print(f"{args.out / 'policy.onnx'}, with checkpoint.pt, training.json and {PLOT} beside it")
+        print(f"chosen: {of}at {chosen.steps:,} steps: {figures(chosen)}{note}")
+    print(f"{args.out / 'policy.onnx'}, with checkpoint.pt, training.json and {PLOT} beside it")

@@ -2,111 +2,81 @@
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+from neuroflight.cli.options import Json
+from neuroflight.cli.progress import step_bars
+from neuroflight.cli.report import print_json, print_table
+from neuroflight.cli.requests import Argument, Either, Option, Request
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from neuroflight.toolchain.codegen.compiler import CompiledPolicy
     from neuroflight.toolchain.verification.tolerance import GroupFigures
     from neuroflight.toolchain.verification.verify import Verification
 
 NOTHING = "-"
 ULP_SHOWN, SHARE_SHOWN = 1e6, 10.0  # beyond, digits say no more
-COUNT, COUNT_MAX = 2000, 100_000
+TORCH = Either()
 CHECKPOINT = "checkpoint.pt"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("policy", type=Path, metavar="POLICY.onnx")
-    torch = parser.add_mutually_exclusive_group()
-    torch.add_argument(
-        "--checkpoint",
-        type=Path,
-        metavar="FILE",
-        help="run torch on it; default: checkpoint.pt beside the policy",
-    )
-    torch.add_argument("--no-torch", action="store_true", help="leave torch out")
-    parser.add_argument(
-        "--count", type=int, default=COUNT, metavar="N", help=f"observations of each kind; default: {COUNT}"
-    )
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="of the random observations")
-    parser.add_argument(
-        "--allow-missing", action="store_true", help="exit 0 although a machine's tool is not installed"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+@dataclass(frozen=True, kw_only=True)
+class Verify(Request):
+    """A request to compare all machines on one policy."""
+
+    policy: Annotated[Path, Argument("POLICY.onnx", "to run")]
+    checkpoint: Annotated[
+        Path | None, Option("FILE", "run torch on it; default: checkpoint.pt beside the policy", either=TORCH)
+    ] = None
+    no_torch: Annotated[bool, Option(None, "leave torch out", either=TORCH)] = False
+    count: Annotated[int, Option("N", "observations of each kind; default: 2000", low=1, high=100_000)] = 2000
+    seed: Annotated[int, Option("S", "of the random observations", low=0)] = 0
+    allow_missing: Annotated[
+        bool, Option(None, "exit 0 although a machine's tool is not installed", recorded=False)
+    ] = False
+    json: Json = False
+
+    def run(self) -> int:
+        """Run the policy on all machines and print the results. Raises NeuroflightError if one differs."""
+        from neuroflight.toolchain.codegen.compiler import compile_policy
+        from neuroflight.toolchain.policy.model import read_policy
+        from neuroflight.toolchain.verification.inputs import make_inputs
+        from neuroflight.toolchain.verification.verify import all_candidates, verify
+
+        beside = self.policy.with_name(CHECKPOINT)
+        checkpoint = self.checkpoint or (beside if beside.is_file() and not self.no_torch else None)
+        compiled = compile_policy(read_policy(self.policy))
+        with tempfile.TemporaryDirectory(prefix="neuroflight-") as folder, step_bars({}, self.json) as show:
+            candidates = all_candidates(compiled, self.policy.read_bytes(), Path(folder), checkpoint)
+            seen = verify(
+                compiled,
+                candidates,
+                make_inputs(compiled.policy.observation_count, self.count, self.seed),
+                seed=self.seed,
+                progress=show,
+            )
+        if self.json:
+            print_json(_document(self, compiled, seen))
+        else:
+            _print(self, compiled, seen)
+        if seen.finding:
+            raise NeuroflightError(f"{self.policy}: {seen.finding.message}")
+        if seen.missing and not self.allow_missing:
+            reasons = "; ".join(f"{machine.name} not run: {machine.not_run}" for machine in seen.missing)
+            raise NeuroflightError(f"{self.policy}: incomplete: {reasons}; or allow it with --allow-missing")
+        return 0
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run the policy on all machines and print the results. Raises NeuroflightError if one differs."""
-    from rich.console import Console
-    from rich.progress import Progress, TaskID
-
-    from neuroflight.toolchain.codegen.compiler import compile_policy
-    from neuroflight.toolchain.policy.model import read_policy
-    from neuroflight.toolchain.verification.inputs import make_inputs
-    from neuroflight.toolchain.verification.verify import all_candidates, verify
-
-    if not 1 <= args.count <= COUNT_MAX:
-        raise NeuroflightError(f"--count {args.count}, expected 1 to {COUNT_MAX}")
-    if args.seed < 0:
-        raise NeuroflightError(f"--seed {args.seed}, expected 0 or more")
-    beside = args.policy.with_name(CHECKPOINT)
-    checkpoint = args.checkpoint or (beside if beside.is_file() and not args.no_torch else None)
-    compiled = compile_policy(read_policy(args.policy))
-    quiet = args.json or not sys.stderr.isatty()
-    with (
-        tempfile.TemporaryDirectory(prefix="neuroflight-") as folder,
-        Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar,
-    ):
-        candidates = all_candidates(compiled, args.policy.read_bytes(), Path(folder), checkpoint)
-        tasks: dict[str, TaskID] = {}
-
-        def show(machine: str, done: int, total: int) -> None:
-            if machine not in tasks:
-                tasks[machine] = bar.add_task(machine, total=total)
-            bar.update(tasks[machine], completed=done)
-
-        seen = verify(
-            compiled,
-            candidates,
-            make_inputs(compiled.policy.observation_count, args.count, args.seed),
-            seed=args.seed,
-            progress=show,
-        )
-    if args.json:
-        print(json.dumps(_document(args, compiled, seen), indent=2))
-    else:
-        _print(args, compiled, seen)
-    if seen.finding:
-        raise NeuroflightError(f"{args.policy}: {seen.finding.message}")
-    if seen.missing and not args.allow_missing:
-        reasons = "; ".join(f"{machine.name} not run: {machine.not_run}" for machine in seen.missing)
-        raise NeuroflightError(f"{args.policy}: incomplete: {reasons}; or allow it with --allow-missing")
-    return 0
-
-
-def _document(args: argparse.Namespace, compiled: CompiledPolicy, seen: Verification) -> dict[str, Any]:
-    from neuroflight.cli.output import command_line
+def _document(args: Verify, compiled: CompiledPolicy, seen: Verification) -> dict[str, Any]:
     from neuroflight.toolchain.verification.tolerance import ROUNDING, TOLERANCE
 
-    options = {
-        "count": args.count,
-        "seed": args.seed,
-        "checkpoint": args.checkpoint,
-        "no_torch": args.no_torch,
-    }
     return {
-        "command": command_line("policy verify", str(args.policy), **options),
+        "command": args.command,
         "policy_sha256": compiled.policy.source_sha256,
         "network": compiled.policy.network.text,
         "count": args.count,
@@ -136,53 +106,33 @@ def _finite(figures: dict[str, Any]) -> dict[str, Any]:
     return {name: "infinite" if value == float("inf") else value for name, value in figures.items()}
 
 
-def _print(args: argparse.Namespace, compiled: CompiledPolicy, seen: Verification) -> None:
-    from rich.console import Console
-
+def _print(args: Verify, compiled: CompiledPolicy, seen: Verification) -> None:
     policy = compiled.policy
-    title = f"{args.policy.name}: {policy.network.text}, {policy.control_rate_hz} Hz"
-    machines = _table(title, "machine", "inputs", "worst error", "ulp", "of allowed", "verdict")
+    machines = [("machine", "inputs", "worst error", "ulp", "of allowed", "verdict")]
     for machine in seen.machines:
         figures = [_worst(machine.figures, name) for name in ("error", "ulp", "share")]
         count = f"{machine.count:,}" if machine.count else NOTHING
         law = f": {machine.finding.law}" if machine.finding else ""
-        machines.add_row(machine.name, count, *_cells(*figures), machine.verdict + law)
-    groups = _table(
-        "The compiled policy by kind of input",
-        *("inputs", "number", "compared", "worst error", "ulp", "of allowed", "onnxruntime"),
-    )
+        machines.append((machine.name, count, *_cells(*figures), machine.verdict + law))
+    groups = [("inputs", "number", "compared", "worst error", "ulp", "of allowed", "onnxruntime")]
     ours = next(machine for machine in seen.machines if machine.name == "evaluator")
     for group in ours.figures:
         numbers = (f"{group.count:,}", f"{group.compared:,}")
         errors = _cells(group.error, group.ulp, group.share)
-        groups.add_row(group.inputs, *numbers, *errors, _cells(group.difference)[0])
-    console = Console(highlight=False)
-    console.print(machines)
-    for machine in seen.machines:
-        if machine.not_run:
-            console.print(f"{machine.name} not run: {machine.not_run}", style="dim")
-    console.print()
-    console.print(groups)
-    console.print(f"\n{_closing(seen)}")
+        groups.append((group.inputs, *numbers, *errors, _cells(group.difference)[0]))
+    not_run = [f"{machine.name} not run: {machine.not_run}\n" for machine in seen.machines if machine.not_run]
+    title = f"{args.policy.name}: {policy.network.text}, {policy.control_rate_hz} Hz"
+    print_table(title, machines, "".join(not_run), numbers=machines[0][1:-1])
+    print_table("\nThe compiled policy by kind of input", groups)
+    print(f"\n{_closing(seen)}")
 
 
-def _table(title: str, *headings: str) -> Table:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for number, heading in enumerate(headings):
-        table.add_column(
-            heading, justify="right" if number and heading != "verdict" else "left", no_wrap=True
-        )
-    return table
-
-
-def _cells(error: float | None, ulp: float | None = None, share: float | None = None) -> list[str]:
-    return [
+def _cells(error: float | None, ulp: float | None = None, share: float | None = None) -> tuple[str, str, str]:
+    return (
         NOTHING if error is None else f"{error:.1e}",
         NOTHING if ulp is None else f"{ulp:,.0f}" if ulp < ULP_SHOWN else f"{ulp:.1e}",
         NOTHING if share is None else f"{100 * share:.0f} %" if share < SHARE_SHOWN else "far over",
-    ]
+    )
 
 
 def _worst(figures: Sequence[GroupFigures], name: str) -> float | None:

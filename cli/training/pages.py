@@ -53,8 +53,7 @@ def renewed(words: Sequence[str]) -> list[str]:
     return [OLD_ON.get(word, word) if before == "--on" else word for before, word in pairwise(["", *now])]
 
 
-def check_page(page: Path, text: str, stored: Path, command: str, told: str = "") -> None:
-    """Print that the page agrees with the stored files. Raises NeuroflightError if it does not."""
+def check_page(page: Path, text: str, stored: Path, command: str) -> None:
+    """Raise NeuroflightError if the page does not agree with the stored files."""
     if not page.is_file() or page.read_bytes() != text.encode():
         raise NeuroflightError(f"{page}: not what the files in {stored} give; run `{command}`")
-    print(f"{page}: up to date{told}")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from neuroflight.cli.options import Json
+from neuroflight.cli.report import print_json
+from neuroflight.cli.requests import Argument, Option, Request
 
 if TYPE_CHECKING:
     from neuroflight.training.reproduction.experiments import ExperimentRow, Experiments
@@ -19,86 +22,80 @@ STORED = ROOT / "docs" / "results" / "dissertation"
 PAGE = ROOT / "docs" / "dissertation.md"
 PICTURES = ROOT / "docs" / "dissertation"
 OUT = Path("runs", "reproduce")
-JOBS_MAX = 256
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "rows",
-        nargs="*",
-        metavar="ROW",
-        help="such as 3.9, 4.4 or 3.9-ppo; 3 stands for all of chapter 3; default: all",
-    )
-    parser.add_argument(
-        "--list",
-        action="store_true",
-        help="run nothing; list rows, stored figures and commands, of named rows also what these run",
-    )
-    parser.add_argument(
-        "--budget",
-        choices=("quick", "full"),
-        default="quick",
-        help="quick: a fraction of the steps; full: as many as the dissertation",
-    )
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="commands at a time; default: 2")
-    parser.add_argument(
-        "--address",
-        metavar="ADDRESS",
-        help="on Ray: local, or HOST:PORT of a cluster that sees the same folder",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=OUT,
-        metavar="DIR",
-        help="what the commands write; finished ones are not repeated unless a file that they name, a recipe "
-        "or an aircraft, has changed; default: runs/reproduce",
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="repeat what is finished too, as after a change of the program"
-    )
-    parser.add_argument(
-        "--store",
-        action="store_true",
-        help="keep the figures in docs/results/dissertation and write docs/dissertation.md; figures of the "
-        "full budget are not replaced by quick ones",
-    )
-    parser.add_argument(
-        "--check", action="store_true", help="run nothing; fail if the page is not up to date"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+@dataclass(frozen=True, kw_only=True)
+class Reproduce(Request):
+    """A request to run the dissertation's experiments again."""
 
+    rows: Annotated[
+        tuple[str, ...],
+        Argument("ROW", "such as 3.9, 4.4 or 3.9-ppo; 3 stands for all of chapter 3; default: all"),
+    ] = ()
+    list: Annotated[
+        bool,
+        Option(
+            None, "run nothing; list rows, stored figures and commands, of named rows also what these run"
+        ),
+    ] = False
+    budget: Annotated[
+        Literal["quick", "full"],
+        Option(None, "quick: a fraction of the steps; full: as many as the dissertation"),
+    ] = "quick"
+    jobs: Annotated[int, Option("N", "commands at a time; default: 2", low=1, high=256)] = 2
+    address: Annotated[
+        str | None, Option("ADDRESS", "on Ray: local, or HOST:PORT of a cluster that sees the same folder")
+    ] = None
+    out: Annotated[
+        Path,
+        Option(
+            "DIR",
+            "what the commands write; finished ones are not repeated unless a file that they name, a recipe "
+            "or an aircraft, has changed; default: runs/reproduce",
+        ),
+    ] = OUT
+    force: Annotated[bool, Option(None, "repeat what is finished too, as after a change of the program")] = (
+        False
+    )
+    store: Annotated[
+        bool,
+        Option(
+            None,
+            "keep the figures in docs/results/dissertation and write docs/dissertation.md; figures of the "
+            "full budget are not replaced by quick ones",
+        ),
+    ] = False
+    check: Annotated[bool, Option(None, "run nothing; fail if the page is not up to date")] = False
+    json: Json = False
 
-def run(args: argparse.Namespace) -> int:
-    """Run the steps of the rows, then print them; or list them, or check the page."""
-    from neuroflight.cli.training.pages import check_page
-    from neuroflight.toolchain.errors import NeuroflightError
-    from neuroflight.training.reproduction.experiments import experiments
-    from neuroflight.training.reproduction.page import render
-    from neuroflight.training.reproduction.stored import read_stored, row_result
+    def run(self) -> int:
+        """Run the steps of the rows, then print them; or list them, or check the page."""
+        from neuroflight.cli.training.pages import check_page
+        from neuroflight.training.reproduction.experiments import experiments
+        from neuroflight.training.reproduction.page import render
+        from neuroflight.training.reproduction.stored import read_stored, row_result
 
-    if not 1 <= args.jobs <= JOBS_MAX:
-        raise NeuroflightError(f"--jobs {args.jobs}, expected 1 to {JOBS_MAX}")
-    known = experiments()
-    rows = known.chosen(args.rows)
-    if args.check:
-        page = render(known, read_stored(STORED), PICTURES.name)
-        check_page(PAGE, page, STORED, "neuroflight reproduce --store ROW")
-        return 0
-    if args.list:
-        _list(args, known, [row_result(row, read_stored(STORED)) for row in rows])
-        return 0
-    kept, failed = _run(args, known, rows)
-    results = [row_result(row, kept) for row in rows if not row.hardware]
-    if args.json:
-        print(json.dumps([_document(each, known) for each in results], indent=2))
-    else:
-        _print(results)
-    return 1 if failed else 0
+        known = experiments()
+        rows = known.chosen(self.rows)
+        if self.check:
+            page = render(known, read_stored(STORED), PICTURES.name)
+            check_page(PAGE, page, STORED, "neuroflight reproduce --store ROW")
+            print_json({"page": str(PAGE), "up_to_date": True}) if self.json else print(f"{PAGE}: up to date")
+            return 0
+        if self.list:
+            _list(self, known, [row_result(row, read_stored(STORED)) for row in rows])
+            return 0
+        kept, failed = _run(self, known, rows)
+        results = [row_result(row, kept) for row in rows if not row.hardware]
+        if self.json:
+            print_json([_document(each, known) for each in results])
+        else:
+            _print(results)
+        return 1 if failed else 0
 
 
 def _run(
-    args: argparse.Namespace, known: Experiments, rows: Sequence[ExperimentRow]
+    args: Reproduce, known: Experiments, rows: Sequence[ExperimentRow]
 ) -> tuple[Mapping[str, Kept], Mapping[str, str]]:
     """Run the steps of rows; return their stored parts, and the reasons why others failed."""
     from rich.console import Console
@@ -112,12 +109,7 @@ def _run(
     watcher = Lines(Console(stderr=True, highlight=False), len(known.plan(rows)))
     with nullcontext(None) if args.address is None else on_ray(args.address, args.jobs) as execute:
         done = run_steps(
-            known.plan(rows),
-            outputs,
-            jobs=args.jobs,
-            force=args.force,
-            execute=execute,
-            watcher=watcher,
+            known.plan(rows), outputs, jobs=args.jobs, force=args.force, execute=execute, watcher=watcher
         )
     # Every row that reads a step keeps its figures, also one that was not asked for.
     used = {name for row in rows for name in row.steps}
@@ -139,14 +131,14 @@ def _store(known: Experiments, kept: Mapping[str, Kept], done: Mapping[str, Done
     write_text_if_changed(PAGE, render(known, read_stored(STORED), PICTURES.name))
 
 
-def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowResult]) -> None:
+def _list(args: Reproduce, known: Experiments, results: Sequence[RowResult]) -> None:
     """Print each row with its stored figures and its command; the steps only of rows that were named."""
     from rich.console import Console
 
     from neuroflight.training.reproduction.page import differing, judged, measured, quoted
 
     if args.json:
-        print(json.dumps([_document(each, known) for each in results], indent=2))
+        print_json([_document(each, known) for each in results])
         return
     console = Console(highlight=False, soft_wrap=True)
     for each in results:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from neuroflight.cli.options import Json
+from neuroflight.cli.report import print_json
+from neuroflight.cli.requests import Option, Request
 
 if TYPE_CHECKING:
     from neuroflight.training.results_page.stored_results import Stored
@@ -16,48 +20,50 @@ DOCS = ROOT / "docs"
 OUTPUTS = Path("runs", "results")  # what commands print, whole
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--folder",
-        type=Path,
-        default=DOCS / "results",
-        metavar="DIR",
-        help="output of commands with --json; default: docs/results",
-    )
-    parser.add_argument(
-        "--out", type=Path, default=DOCS / "results.md", metavar="FILE.md", help="default: docs/results.md"
-    )
-    parser.add_argument(
-        "--check", action="store_true", help="write nothing; fail if the page is not up to date"
-    )
-    parser.add_argument(
-        "--again",
-        nargs="*",
-        metavar="NAME.json",
-        help="first repeat the commands in DIR/commands.txt for these files; all unless named",
-    )
+@dataclass(frozen=True, kw_only=True)
+class Report(Request):
+    """A request for the page of results."""
 
+    folder: Annotated[Path, Option("DIR", "output of commands with --json; default: docs/results")] = (
+        DOCS / "results"
+    )
+    out: Annotated[Path, Option("FILE.md", "default: docs/results.md", suffix=".md")] = DOCS / "results.md"
+    check: Annotated[bool, Option(None, "write nothing; fail if the page is not up to date")] = False
+    again: Annotated[
+        tuple[str, ...] | None,
+        Option(
+            "NAME.json",
+            "first repeat the commands in DIR/commands.txt for these files; all unless named",
+            number="*",
+            name="--repeat",
+            old=("--again",),
+        ),
+    ] = None
+    json: Json = False
 
-def run(args: argparse.Namespace) -> int:
-    """Write the page, or check that it is up to date."""
-    from neuroflight.cli.output import check_output
-    from neuroflight.cli.training.pages import check_page
-    from neuroflight.toolchain.files import write_text_if_changed
-    from neuroflight.training.results_page.page import render
-    from neuroflight.training.results_page.stored_results import read_results
+    def run(self) -> int:
+        """Write the page, or check that it is up to date."""
+        from neuroflight.cli.training.pages import check_page
+        from neuroflight.toolchain.files import write_text_if_changed
+        from neuroflight.training.results_page.page import render
+        from neuroflight.training.results_page.stored_results import read_results
 
-    check_output(args.out, ".md")
-    if args.again is not None:
-        _make_again(args.folder, args.again)
-    results = read_results(args.folder)
-    page = render(results)
-    if args.check:
-        check_page(args.out, page, args.folder, "neuroflight report", f" with {len(results)} files")
+        if self.again is not None:
+            _make_again(self.folder, self.again)
+        results = read_results(self.folder)
+        page = render(results)
+        if self.check:
+            check_page(self.out, page, self.folder, "neuroflight report")
+            written, told = False, "up to date with"
+        else:
+            written = write_text_if_changed(self.out, page)
+            _draw(self.folder, results)
+            told = "written from" if written else "already up to date with"
+        if self.json:
+            print_json({"page": str(self.out), "written": written, "files": len(results)})
+        else:
+            print(f"{self.out}: {told} {len(results)} files")
         return 0
-    written = write_text_if_changed(args.out, page)
-    _draw(args.folder, results)
-    print(f"{args.out}: {'written from' if written else 'already up to date with'} {len(results)} files")
-    return 0
 
 
 def _draw(folder: Path, results: Sequence[Stored]) -> None:

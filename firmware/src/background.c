@@ -1,6 +1,5 @@
 #include "background.h"
 
-#include <stddef.h>
 #include <string.h>
 
 #define ALERT_RATE_HZ 50
@@ -44,12 +43,12 @@ static void background_tune(struct background *background)
 static void background_run_battery(void *context)
 {
 	struct background *background = context;
-	const struct hal *hal = background->config.hal;
+	const struct hal *hal = background->config.board.hal;
 	struct power_sample power;
 
 	hal->power_read(hal->context, &power);
 	battery_step(&background->battery, power.volts_mv, power.amps_mv, power.valid);
-	const bool known = battery_level(&background->battery) != BATTERY_UNKNOWN;
+	const bool known = background->battery.level != BATTERY_UNKNOWN;
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_BATTERY_UNKNOWN, !known);
 	firmware_power(background->config.firmware, known ? background->battery.volts : 0.0f);
 }
@@ -77,7 +76,7 @@ static unsigned background_not_arming(const struct background *background, const
 static uint32_t background_alerts(const struct background *background, const struct firmware_status *status,
 				  uint32_t ms)
 {
-	const enum battery_level level = battery_level(&background->battery);
+	const enum battery_level level = background->battery.level;
 	const bool find_me = (status->modes & MODE_BIT(BEEPER)) != 0;
 	const bool lost = background->heard && !status->receiver_good;
 	const bool stopped = status->state == NF_FLIGHT_FAULT || background->faults.pending;
@@ -99,7 +98,7 @@ static uint32_t background_alerts(const struct background *background, const str
 static void background_run_alert(void *context)
 {
 	struct background *background = context;
-	const struct hal *hal = background->config.hal;
+	const struct hal *hal = background->config.board.hal;
 	const struct firmware *fw = background->config.firmware;
 	const uint32_t ms = background_ms(background);
 	struct firmware_status status;
@@ -180,7 +179,7 @@ static void background_check_weights(struct background *background)
 /* Cycles as a share of the gyro period. */
 static uint32_t background_percent(const struct background *background, uint32_t cycles)
 {
-	return cycles / (background->config.cycles_hz / background->settings.gyro_rate_hz / 100u);
+	return cycles / (background->config.board.cycles_hz / background->settings.gyro_rate_hz / 100u);
 }
 
 /* Forbids arming after an overload: on a board, a sample that takes longer than its period delays the following ones. */
@@ -188,7 +187,7 @@ static void background_watch_load(struct background *background)
 {
 	static const enum nf_task watched[] = { NF_TASK_GYRO, NF_TASK_CONTROL };
 
-	if (!background->config.real_time)
+	if (!background->config.board.real_time)
 		return;
 	const bool flew = background->flying;
 	background->flying = firmware_armed(background->config.firmware);
@@ -261,10 +260,11 @@ static void background_judge_board(const struct background *background)
 {
 	const struct background_config *config = &background->config;
 
-	firmware_forbid(config->firmware, NF_ARMING_REASON_CLOCK, config->clock_inexact);
+	firmware_forbid(config->firmware, NF_ARMING_REASON_CLOCK, config->board.clock_inexact);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_SETTINGS, background->mended);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_GYRO_ALIGNMENT,
-			config->alignment_disputed && background->settings.gyro_alignment == NF_GYRO_ALIGNMENT_BOARD);
+			config->board.alignment_disputed &&
+				background->settings.gyro_alignment == NF_GYRO_ALIGNMENT_BOARD);
 }
 
 enum nf_err background_start(struct background *background, const struct background_config *config)
@@ -273,10 +273,10 @@ enum nf_err background_start(struct background *background, const struct backgro
 	const enum nf_err err = background_boot(background);
 	if (err != NF_OK)
 		return err;
-	fault_log_boot(&background->faults, &background->config.hal->flash, config->fault);
+	fault_log_boot(&background->faults, &background->config.board.hal->flash, config->fault);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 	background_judge_board(background);
-	image_probation_init(&background->probation, &background->config.hal->flash, config->bank);
+	image_probation_init(&background->probation, &background->config.board.hal->flash, config->board.bank);
 	background_judge_image(background);
 	battery_init(&background->battery, &background->settings);
 	alert_init(&background->alert, &background->settings);
@@ -288,7 +288,7 @@ enum nf_err background_start(struct background *background, const struct backgro
 	config->stats[NF_TASK_GYRO].rate_hz = background->settings.gyro_rate_hz - POLICY_CONTROL_RATE_HZ;
 	config->stats[NF_TASK_CONTROL].rate_hz = POLICY_CONTROL_RATE_HZ;
 	scheduler_init(&background->scheduler, tasks, sizeof tasks / sizeof tasks[0], config->stats,
-		       background->settings.gyro_rate_hz, config->hal->cycles, config->hal->context);
+		       background->settings.gyro_rate_hz, config->board.hal->cycles, config->board.hal->context);
 	return NF_OK;
 }
 
@@ -318,18 +318,18 @@ void background_status(const struct background *background, struct firmware_stat
 	status->load_percent = background_load_percent(background);
 	status->volts = battery->volts;
 	status->amps = battery->amps;
-	status->drawn_mah = (float)battery_mah(battery);
-	status->sag_v = battery_sag(battery);
+	status->drawn_mah = (float)battery->mah;
+	status->sag_v = battery->rest_volts - battery->volts;
 	status->cells = (uint8_t)battery->cells;
-	status->battery_level = (uint8_t)battery_level(battery);
-	status->gyro_identity = background->config.gyro_identity;
-	status->brown_out = background->config.brown_out;
+	status->battery_level = (uint8_t)battery->level;
+	status->gyro_identity = background->config.board.gyro_identity;
+	status->brown_out = background->config.board.brown_out;
 }
 
 size_t background_link(struct background *background, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply,
 		       size_t capacity)
 {
-	const struct hal *hal = background->config.hal;
+	const struct hal *hal = background->config.board.hal;
 	const uint32_t start = hal->cycles(hal->context);
 	struct firmware_status status;
 
@@ -340,24 +340,4 @@ size_t background_link(struct background *background, unsigned port, const uint8
 	background_tune(background);
 	task_stats_add(&background->config.stats[NF_TASK_MSP], hal->cycles(hal->context) - start, false);
 	return written;
-}
-
-void background_link_reset(struct background *background, unsigned port)
-{
-	msp_port_reset(&background->ports[port]);
-}
-
-void background_link_pause(struct background *background, unsigned port)
-{
-	msp_port_pause(&background->ports[port]);
-}
-
-bool background_link_busy(const struct background *background, unsigned port)
-{
-	return msp_port_busy(&background->ports[port]);
-}
-
-void background_link_lost(struct background *background, unsigned port)
-{
-	msp_port_lost(&background->ports[port]);
 }

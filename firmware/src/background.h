@@ -1,11 +1,6 @@
 /* Background: the boot, then the tasks that can wait. It runs below the gyro interrupt; the two exchange data only
  * through the functions of firmware.h that say so. */
-#ifndef NF_BACKGROUND_H
-#define NF_BACKGROUND_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "blackbox/blackbox.h"
 #include "common/status.h"
@@ -13,38 +8,24 @@
 #include "housekeeping/alert.h"
 #include "housekeeping/battery.h"
 #include "housekeeping/scheduler.h"
-#include "msp/msp_commands.h"
 #include "msp/msp_port.h"
 #include "nf_contract.h"
-#include "port/flash.h"
 #include "port/hal.h"
-#include "port/power_sample.h"
 #include "receiver/gesture.h"
 #include "storage/fault_log.h"
 #include "storage/image_probation.h"
 #include "storage/image_update.h"
 #include "storage/policy_slots.h"
 #include "storage/settings.h"
-#include "storage/settings_store.h"
 
 struct background_config {
-	const struct hal *hal;
-	struct firmware *firmware;          /* started by background_start */
-	float *weights; /* [POLICY_WEIGHT_COUNT], 8-byte aligned: filled with the flown policy's */
-	struct task_stats *stats; /* [TASK_COUNT], by enum nf_task */
-	enum board_alignment alignment; /* of the gyro chip, where the settings say "board" */
-	enum gyro_chip gyro_chip;
-	uint8_t gyro_identity, brown_out; /* as in struct hal_info */
+	struct hal_info board;
+	struct firmware *firmware;        /* started by background_start */
+	float *weights;                   /* [POLICY_WEIGHT_COUNT], 8-byte aligned: filled with the flown policy's */
+	struct task_stats *stats;         /* [TASK_COUNT], by enum nf_task */
 	const struct pid_gains *pid;
-	const struct board_identity *identity;
-	unsigned bank; /* of images, that this one runs from */
 	const struct fault_record *fault; /* what ended the run before; NULL: no fault did */
-	const struct setting_change *changes;
-	size_t change_count;
-	unsigned gyro_rate_hz; /* of this start; 0: as set */
-	uint32_t cycles_hz; /* of hal->cycles */
-	bool clock_inexact, alignment_disputed, real_time; /* as in struct hal_info */
-	struct log_ring *log; /* of control steps; NULL: they are not recorded */
+	struct log_ring *log;             /* of control steps; NULL: they are not recorded */
 };
 
 struct background {
@@ -74,8 +55,7 @@ struct background {
 	bool refused; /* a policy, when alerts were last looked at */
 	uint32_t refused_since_ms;
 	bool rebooting; /* was asked to, and is about to */
-	struct msp_services services;
-	struct command_line_services commands;
+	struct services services;
 	unsigned sessions; /* of command lines that are open */
 	struct msp_port ports[NF_MSP_PORT_COUNT];
 };
@@ -95,18 +75,6 @@ void background_status(const struct background *background, struct firmware_stat
 size_t background_link(struct background *background, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply,
 		       size_t capacity);
 
-/* The peer of that port has disconnected, or another one has connected. */
-void background_link_reset(struct background *background, unsigned port);
-
-/* The peer paused so long that a partly read request is discarded. */
-void background_link_pause(struct background *background, unsigned port);
-
-/* Returns whether output for the peer is pending, so that no more bytes may be read yet. */
-bool background_link_busy(const struct background *background, unsigned port);
-
-/* Bytes from the peer were lost. */
-void background_link_lost(struct background *background, unsigned port);
-
 /* --- For the background's own files ------------------------------------------------------------------------------ */
 /* background_start.c: the settings of this boot, as stored, then changed; then the policy for them, and the firmware. */
 enum nf_err background_boot(struct background *background);
@@ -123,5 +91,3 @@ enum nf_refusal background_reboot(void *context, enum nf_reboot kind);
  * its work each round. */
 void background_init_blackbox(struct background *background);
 void background_run_blackbox(struct background *background);
-
-#endif

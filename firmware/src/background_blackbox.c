@@ -13,8 +13,8 @@ void background_init_blackbox(struct background *background)
 {
 	const struct background_config *config = &background->config;
 	const struct firmware *fw = config->firmware;
-	const struct hal *hal = config->hal;
-	const struct nf_image_header image = image_bank_header(&hal->flash, config->bank);
+	const struct hal *hal = config->board.hal;
+	const struct nf_image_header image = image_bank_header(&hal->flash, config->board.bank);
 	const struct blackbox_config blackbox = {
 		.device = hal->log(hal->context, (enum nf_log_device)background->settings.blackbox_device),
 		.ring = config->log,
@@ -22,12 +22,12 @@ void background_init_blackbox(struct background *background)
 		.about = {
 			.settings = &background->settings,
 			.slots = &background->slots,
-			.maker = config->identity->maker,
-			.target = config->identity->target,
+			.maker = config->board.identity.maker,
+			.target = config->board.identity.target,
 			.pid_idle = config->pid->idle,
 			.pid_mix = config->pid->mix,
 			.gyro_mean = fw->mean.count,
-			.image = image_bank_fits(&image, config->bank, config->identity->target) ?
+			.image = image_bank_fits(&image, config->board.bank, config->board.identity.target) ?
 					 image :
 					 (struct nf_image_header){ 0 },
 			.snapshot = &background->snapshot,

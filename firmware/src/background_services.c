@@ -115,7 +115,7 @@ enum nf_refusal background_acknowledge(void *context)
 enum nf_refusal background_reboot(void *context, enum nf_reboot kind)
 {
 	struct background *background = context;
-	const struct hal *hal = background->config.hal;
+	const struct hal *hal = background->config.board.hal;
 	const enum nf_refusal refusal = background_storing(context, true);
 
 	if (refusal != NF_REFUSAL_NONE)
@@ -139,7 +139,7 @@ static void background_record(void *context, struct control_record *record)
 static uint32_t background_motor_restarts(void *context)
 {
 	const struct background *background = context;
-	const struct hal *hal = background->config.hal;
+	const struct hal *hal = background->config.board.hal;
 
 	return hal->motor_restarts(hal->context);
 }
@@ -168,61 +168,39 @@ static enum nf_refusal background_session(void *context, bool open)
 	return refused ? NF_REFUSAL_ARMED : NF_REFUSAL_NONE;
 }
 
-static void background_offer_commands(struct background *background)
-{
-	const struct background_config *config = &background->config;
-
-	background->commands = (struct command_line_services){
-		.identity = config->identity,
-		.flash = &config->hal->flash,
-		.settings = &background->edited,
-		.slots = &background->slots,
-		.faults = &background->faults,
-		.blackbox = &background->blackbox,
-		.tasks = config->stats,
-		.cycles_hz = config->cycles_hz,
-		.context = background,
-		.samples = background_samples,
-		.motor_restarts = background_motor_restarts,
-		.session = background_session,
-		.storing = background_storing,
-		.motor_test = background_test_motors,
-		.motors = background_turn_motors,
-		.acknowledge = background_acknowledge,
-		.reboot = background_reboot,
-	};
-}
-
 void background_offer_services(struct background *background)
 {
 	const struct background_config *config = &background->config;
 
-	background_offer_commands(background);
-	image_update_init(&background->image, &config->hal->flash, config->bank, config->identity->target);
-	background->services = (struct msp_services){
-		.flash = &config->hal->flash,
+	image_update_init(&background->image, &config->board.hal->flash, config->board.bank,
+			  config->board.identity.target);
+	background->services = (struct services){
+		.identity = &config->board.identity,
+		.flash = &config->board.hal->flash,
 		.settings = &background->edited,
+		.pid = config->pid,
 		.slots = &background->slots,
-		.faults = &background->faults,
 		.image = &background->image,
+		.faults = &background->faults,
 		.blackbox = &background->blackbox,
 		.tasks = config->stats,
-		.command_line = &background->commands,
-		.cycles_hz = config->cycles_hz,
+		.cycles_hz = config->board.cycles_hz,
 		.context = background,
+		.samples = background_samples,
+		.motor_restarts = background_motor_restarts,
+		.record = background_record,
+		.session = background_session,
 		.storing = background_storing,
-		.pid = config->pid,
+		.channels = background_channels,
 		.arming = background_arming,
 		.heard = background_heard,
-		.calibrate = background_calibrate,
-		.channels = background_channels,
 		.motor_test = background_test_motors,
 		.motors = background_turn_motors,
 		.dshot_command = background_command_motors,
+		.calibrate = background_calibrate,
 		.acknowledge = background_acknowledge,
 		.reboot = background_reboot,
-		.record = background_record,
 	};
 	for (unsigned port = 0; port < NF_MSP_PORT_COUNT; ++port)
-		msp_port_init(&background->ports[port], config->identity, &background->services);
+		msp_port_init(&background->ports[port], &background->services);
 }

@@ -3,6 +3,7 @@
 
 #include "background.h"
 #include "sensing/filters.h"
+#include "storage/settings_store.h"
 
 #define REHEARSALS 8u /* of each controller; the first one fills the caches and counts for nothing */
 
@@ -12,8 +13,8 @@ static bool background_change_settings(struct nf_settings *settings, const struc
 	const unsigned style = settings_find("rates_style");
 
 	for (unsigned pass = 0; pass < 2; ++pass)
-		for (size_t i = 0; i < config->change_count; ++i) {
-			const struct setting_change *change = &config->changes[i];
+		for (size_t i = 0; i < config->board.change_count; ++i) {
+			const struct setting_change *change = &config->board.changes[i];
 			const bool due = (change->index == style) == (pass == 0);
 			if (due && settings_set(settings, change->index, &change->value) != NF_REFUSAL_NONE)
 				return false;
@@ -25,12 +26,12 @@ static enum nf_err background_load_settings(struct background *background)
 {
 	const struct background_config *config = &background->config;
 
-	background->mended = settings_load(&background->edited, &config->hal->flash) == SETTINGS_MENDED;
+	background->mended = settings_load(&background->edited, &config->board.hal->flash) == SETTINGS_MENDED;
 	background->settings = background->tuned = background->edited;
 	if (!background_change_settings(&background->settings, config))
 		return NF_ERR_SETTINGS;
-	if (config->gyro_rate_hz > 0)
-		background->settings.gyro_rate_hz = config->gyro_rate_hz;
+	if (config->board.gyro_rate_hz > 0)
+		background->settings.gyro_rate_hz = config->board.gyro_rate_hz;
 	const unsigned conflict = settings_conflict(&background->settings);
 	if (conflict == NF_SETTING_COUNT)
 		return NF_OK;
@@ -41,7 +42,7 @@ static enum nf_err background_load_settings(struct background *background)
 static bool background_choose_policy(struct background *background)
 {
 	const struct background_config *config = &background->config;
-	const struct nf_image_header image = image_bank_header(&config->hal->flash, config->bank);
+	const struct nf_image_header image = image_bank_header(&config->board.hal->flash, config->board.bank);
 	struct policy_blob_identity running = {
 		.architecture_hash = POLICY_ARCHITECTURE_HASH,
 		.filters_hash = filters_hash(&background->settings),
@@ -51,10 +52,10 @@ static bool background_choose_policy(struct background *background)
 		.action_count = POLICY_ACTION_COUNT,
 	};
 
-	if (image_bank_fits(&image, config->bank, image.board))
+	if (image_bank_fits(&image, config->board.bank, image.board))
 		memcpy(running.build, image.build, sizeof running.build);
 	/* The policy's state is the firmware's, which is initialised after this. */
-	return policy_slots_choose(&background->slots, &config->hal->flash, &running, config->bank,
+	return policy_slots_choose(&background->slots, &config->board.hal->flash, &running, config->board.bank,
 				   &config->firmware->control.policy, config->weights) == NF_OK;
 }
 
@@ -62,14 +63,14 @@ static enum board_alignment background_alignment(const struct background *backgr
 {
 	const uint32_t set = background->settings.gyro_alignment;
 
-	return set == NF_GYRO_ALIGNMENT_BOARD ? background->config.alignment :
+	return set == NF_GYRO_ALIGNMENT_BOARD ? background->config.board.alignment :
 						(enum board_alignment)(set - NF_GYRO_ALIGNMENT_CW0);
 }
 
 /* Measures how long a controller takes, because none runs before arming. */
 static void background_rehearse(struct background *background)
 {
-	const struct hal *hal = background->config.hal;
+	const struct hal *hal = background->config.board.hal;
 
 	for (unsigned pid = 0; pid < 2; ++pid)
 		for (unsigned i = 0; i < REHEARSALS; ++i) {
@@ -91,7 +92,7 @@ static enum nf_err background_start_firmware(struct background *background)
 	const struct firmware_config firmware = {
 		.gyro_rate_hz = background->settings.gyro_rate_hz,
 		.alignment = background_alignment(background),
-		.gyro_chip = config->gyro_chip,
+		.gyro_chip = config->board.gyro_chip,
 		.settings = &background->settings,
 		.weights = config->weights,
 		.policy = told ? &policy : NULL,
@@ -100,7 +101,7 @@ static enum nf_err background_start_firmware(struct background *background)
 	};
 
 	const enum nf_err err = firmware_init(config->firmware, &firmware);
-	if (err != NF_OK || !config->real_time)
+	if (err != NF_OK || !config->board.real_time)
 		return err;
 	background_rehearse(background);
 	return firmware_init(config->firmware, &firmware); /* of the rehearsals nothing is left */

@@ -367,7 +367,7 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 		firmware_update_safety(fw, 0);
 	fw->heard = false;
 	firmware_command(fw);
-	if ((fw->receiver.on & MODE_BIT(CHIRP)) || fw->chirp.state != CHIRP_IDLE)
+	if ((fw->receiver.on & MODE_BIT(CHIRP)) || fw->chirp.sweep.state != CHIRP_IDLE)
 		chirp_interlock_step(&fw->chirp, &fw->control, &fw->receiver, &fw->safety, trace->setpoint);
 	if (fw->edges.flags & LOG_EDGE_WEIGHTS_BAD)
 		firmware_lose_weights(fw);

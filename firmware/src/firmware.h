@@ -2,12 +2,7 @@
  *
  * Time is the gyro sample index. Functions are called from the gyro interrupt, unless they say "from the background",
  * which runs below it. */
-#ifndef NF_FIRMWARE_H
-#define NF_FIRMWARE_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "blackbox/log_record.h"
 #include "common/status.h"
@@ -189,5 +184,3 @@ void firmware_record(const struct firmware *fw, const uint32_t *cycles, struct c
 
 /* From the background: a consistent copy of the status, also when a gyro interrupt falls into the copying. */
 void firmware_status(const struct firmware *fw, struct firmware_status *status);
-
-#endif

@@ -3,6 +3,7 @@
 
 #include "common/nf_math.h"
 #include "firmware.h"
+#include "storage/settings.h"
 
 _Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
 _Static_assert(POLICY_OBSERVATION_COUNT <= NF_OBSERVATION_COUNT_MAX, "too many observations");
@@ -21,13 +22,8 @@ static enum nf_err firmware_check_rates(unsigned gyro_rate_hz)
 /* The output that each motor's ESC is wired to; the settings' rules make them a permutation. */
 static void firmware_outputs_init(struct firmware *fw, const struct nf_settings *settings)
 {
-	const uint32_t wired[NF_MOTOR_COUNT_MAX] = {
-		settings->motor1_output, settings->motor2_output, settings->motor3_output, settings->motor4_output,
-		settings->motor5_output, settings->motor6_output, settings->motor7_output, settings->motor8_output,
-	};
-
 	for (size_t i = 0; i < POLICY_ACTION_COUNT; ++i) {
-		fw->outputs[i] = (uint8_t)(wired[i] - 1u);
+		fw->outputs[i] = (uint8_t)(settings_whole(settings, SETTING_AT_motor1_output + (unsigned)i) - 1u);
 		fw->rewired |= fw->outputs[i] != i;
 	}
 }

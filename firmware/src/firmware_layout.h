@@ -1,6 +1,5 @@
 /* A number that changes with the layout of struct firmware. */
-#ifndef NF_FIRMWARE_LAYOUT_H
-#define NF_FIRMWARE_LAYOUT_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -45,5 +44,3 @@
 	  offsetof(struct firmware, control.pid.gains),        offsetof(struct firmware, control.observation.blocks), \
 	  offsetof(struct firmware, control.observation.ages), offsetof(struct firmware, control.observation.gains),  \
 	  offsetof(struct firmware, dshot_command.outputs) }
-
-#endif

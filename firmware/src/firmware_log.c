@@ -32,20 +32,7 @@ SAME_PLACE(attitude_known, modes);
 _Static_assert(offsetof(struct control, action) - offsetof(struct control, seen) ==
 		       RECORD(action) - RECORD(observation),
 	       "observation and action");
-#define CHIRP (RECORD(forbidden) - RECORD(chirp_state))
-#define SAME_CHIRP(member)                                                                     \
-	_Static_assert(RECORD(chirp_##member) - RECORD(chirp_state) ==                         \
-			       offsetof(struct chirp, member) - offsetof(struct chirp, state), \
-		       "not as in the chirp: " #member)
-_Static_assert(offsetof(struct chirp, state) % 4u == 0 && CHIRP % 4u == 0, "whole words");
-SAME_CHIRP(axis);
-SAME_CHIRP(controller);
-SAME_CHIRP(left);
-SAME_CHIRP(frequency_hz);
-SAME_CHIRP(phase);
-SAME_CHIRP(sine);
-SAME_CHIRP(low);
-SAME_CHIRP(added);
+_Static_assert(RECORD(chirp) % 4u == 0 && sizeof(struct chirp_sweep) % 4u == 0, "whole words");
 #define EDGES (RECORD(sample) - RECORD(forbidden))
 _Static_assert(sizeof(struct firmware_edges) == EDGES &&
 		       offsetof(struct firmware_edges, flags) == RECORD(edge_flags) - RECORD(forbidden),
@@ -61,7 +48,7 @@ void firmware_log(const struct firmware *fw, struct log_record *record)
 	words_copy(&record->trace, &fw->status, TOLD);
 	words_copy(&record->modes, &fw->status.modes, CONDITIONS);
 	words_copy(record->attitude, fw->attitude.q, sizeof record->attitude);
-	words_copy(&record->chirp_state, &fw->chirp.state, CHIRP);
+	words_copy(&record->chirp, &fw->chirp.sweep, sizeof record->chirp);
 	words_copy(&record->forbidden, &fw->edges, EDGES);
 	/* A motor test or a command forbids arming, and no armed motors have one. */
 	if (record->arming_reasons & SAFETY_REASON(MOTOR_TEST))

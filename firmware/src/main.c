@@ -22,25 +22,12 @@ static enum nf_err boot(void)
 {
 	const bool faulted = hal_fault_take(&fault);
 	const struct background_config config = {
-		.hal = info.hal,
+		.board = info,
 		.firmware = &firmware,
 		.weights = weights,
 		.stats = stats,
-		.alignment = info.alignment,
-		.gyro_chip = info.gyro_chip,
-		.gyro_identity = info.gyro_identity,
-		.brown_out = info.brown_out,
 		.pid = &pid_gains_built_in,
-		.identity = &info.identity,
-		.bank = info.bank,
 		.fault = faulted ? &fault : NULL,
-		.changes = info.changes,
-		.change_count = info.change_count,
-		.gyro_rate_hz = info.gyro_rate_hz,
-		.cycles_hz = info.cycles_hz,
-		.clock_inexact = info.clock_inexact,
-		.alignment_disputed = info.alignment_disputed,
-		.real_time = info.real_time,
 		.log = &log_ring,
 	};
 	const enum nf_err err = background_start(&background, &config);

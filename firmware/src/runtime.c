@@ -116,26 +116,26 @@ void runtime_link_reset(void *context, unsigned port)
 {
 	const struct runtime *runtime = context;
 
-	background_link_reset(runtime->background, port);
+	msp_port_reset(&runtime->background->ports[port]);
 }
 
 void runtime_link_pause(void *context, unsigned port)
 {
 	const struct runtime *runtime = context;
 
-	background_link_pause(runtime->background, port);
+	msp_port_pause(&runtime->background->ports[port]);
 }
 
 void runtime_link_lost(void *context, unsigned port)
 {
 	const struct runtime *runtime = context;
 
-	background_link_lost(runtime->background, port);
+	msp_port_lost(&runtime->background->ports[port]);
 }
 
 bool runtime_link_busy(void *context, unsigned port)
 {
 	const struct runtime *runtime = context;
 
-	return background_link_busy(runtime->background, port);
+	return msp_port_busy(&runtime->background->ports[port]);
 }

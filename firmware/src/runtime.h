@@ -1,7 +1,6 @@
 /* The whole firmware around a board: what main.c runs on a chip or as the host program, and what the library
  * (hal/host/reference.c) runs for its caller. */
-#ifndef NF_RUNTIME_H
-#define NF_RUNTIME_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -34,5 +33,3 @@ void runtime_link_reset(void *runtime, unsigned port);
 void runtime_link_pause(void *runtime, unsigned port);
 void runtime_link_lost(void *runtime, unsigned port);
 bool runtime_link_busy(void *runtime, unsigned port);
-
-#endif

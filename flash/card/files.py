@@ -7,16 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from neuroflight.toolchain.contract import LOG_FILE_PREFIX, LOG_FILE_SUFFIX
+from neuroflight.toolchain.contract import LOG_FILE_PREFIX, LOG_FILE_SUFFIX, LOG_NUMBER_MAX
 from neuroflight.toolchain.errors import CardError
 
 NAME = re.compile(rf"{LOG_FILE_PREFIX}(\d{{5}}){re.escape(LOG_FILE_SUFFIX)}", re.IGNORECASE)
-NUMBER_MAX = 99_999
 SECTOR = 512  # bytes; the firmware looks at a file's first sector
 BLANKS = (0x00, 0xFF)  # bytes of a sector without a log: written as zeros, or erased by the card
 MEBIBYTE = 1 << 20
-FILE_BYTES = 64 * MEBIBYTE  # at 100 kB/s a flight of 11 minutes
-FILE_BYTES_MAX = 4095 * MEBIBYTE  # FAT32's limit is 4 GB less one byte
 FILES_MAX = 64  # default
 PIECE_BYTES = MEBIBYTE  # read, written or compared at a time
 
@@ -100,8 +97,10 @@ def plan_files(files: Sequence[LogFile], free: int, size: int, empty: int | None
             f"files of {size // MEBIBYTE} MB; delete something, or give fewer --files or a smaller --size"
         )
     first = max((file.number for file in files), default=0) + 1
-    if first + missing - 1 > NUMBER_MAX:
-        raise CardError(f"the names go up to {file_name(NUMBER_MAX)}, expected room behind the last one's")
+    if first + missing - 1 > LOG_NUMBER_MAX:
+        raise CardError(
+            f"the names go up to {file_name(LOG_NUMBER_MAX)}, expected room behind the last one's"
+        )
     return NewFiles([file_name(first + k) for k in range(missing)], size)
 
 

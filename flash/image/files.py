@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from neuroflight.flash.rom.image_check import policy_for
-from neuroflight.flash.rom.segments import Segment, read_segments
+from neuroflight.flash.rom.segments import Segment, content_of, read_segments
 from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_POLICY_SLOTS,
@@ -24,7 +24,6 @@ from neuroflight.toolchain.contract import (
     IMAGE_TAIL_BYTES,
     ImageHeader,
     PolicyHeader,
-    Region,
     bound_policy,
     image_checksum,
     image_header,
@@ -130,7 +129,7 @@ def read_images(path: Path) -> ImageFile:
             raise ImageError(f"{path}: it ends behind its images, expected their policy; {_MEND}")
     else:
         segments = read_segments(path)
-        images, rest = _of_banks(path, segments), _content(segments, FLASH_POLICY_SLOTS[0])
+        images, rest = _of_banks(path, segments), content_of(segments, FLASH_POLICY_SLOTS[0])
     first = images[0].header
     for image in images[1:]:
         if (image.header.build, image.header.board) != (first.build, first.board):
@@ -184,23 +183,11 @@ def _split(path: Path, content: bytes) -> tuple[tuple[Image, ...], bytes]:
     return tuple(images), content
 
 
-def _content(segments: Sequence[Segment], region: Region) -> bytes:
-    """Return the bytes that the segments put into a region, from its start on."""
-    inside = [s for s in segments if region.address <= s.address < region.address + region.size]
-    if not inside:
-        return b""
-    content = bytearray(b"\xff" * region.size)
-    for segment in inside:
-        at = segment.address - region.address
-        content[at : at + len(segment.data)] = segment.data
-    return bytes(content[: region.size])
-
-
 def _of_banks(path: Path, segments: Sequence[Segment]) -> tuple[Image, ...]:
     """Return the images that the segments put into the banks."""
     images = []
     for bank, region in enumerate(FLASH_BANKS):
-        if not (content := _content(segments, region)):
+        if not (content := content_of(segments, region)):
             continue
         image = _checked(path, content)
         if image.bank != bank:

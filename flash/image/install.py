@@ -19,8 +19,8 @@ from neuroflight.flash.image.files import bank_name
 from neuroflight.flash.image.plan import InstallPlan
 from neuroflight.flash.image.settings_kept import Kept, keep_settings, read_settings
 from neuroflight.flash.image.trial import Ending, Trial, await_image
-from neuroflight.flash.image.update import Clock, Progress, patiently, switch, write_image
-from neuroflight.flash.link.client import Client
+from neuroflight.flash.image.update import Clock, Progress, switch, write_image
+from neuroflight.flash.link.client import Client, patiently
 from neuroflight.flash.link.transport import Transport
 from neuroflight.flash.policy import swap
 from neuroflight.flash.settings.text import Value

@@ -87,10 +87,10 @@ def _bank(told: Values) -> Bank:
     )
 
 
-def image_begun(payload: bytes) -> int:
-    """Decode IMAGE_BEGIN: the offset at which writing continues [bytes]."""
-    (offset,) = Reader(Msp.IMAGE_BEGIN, payload).fields("I")
-    return int(offset)
+def number(message: Msp, payload: bytes) -> int:
+    """Decode IMAGE_BEGIN (offset to go on from), IMAGE_END (CRC-32 that was read back), IMAGE_SWITCH (the
+    number that the image has got)."""
+    return int(Reader(message, payload).fields("I")[0])
 
 
 def image_write(offset: int, data: bytes) -> bytes:
@@ -100,30 +100,6 @@ def image_write(offset: int, data: bytes) -> bytes:
     return struct.pack("<I", offset) + data
 
 
-def image_ended(payload: bytes) -> int:
-    """Decode IMAGE_END: the CRC-32 that was read back from flash."""
-    (crc,) = Reader(Msp.IMAGE_END, payload).fields("I")
-    return int(crc)
-
-
-def image_hash(bank: int) -> bytes:
-    """Encode IMAGE_HASH."""
-    return struct.pack("<B", bank)
-
-
 def image_hashed(payload: bytes) -> bytes:
     """Decode IMAGE_HASH: the SHA-256 of the bank's image."""
     return Reader(Msp.IMAGE_HASH, payload).bytes(HASH_BYTES)
-
-
-def image_switch(sha256: bytes) -> bytes:
-    """Encode IMAGE_SWITCH to the spare bank's image of that hash."""
-    if len(sha256) != HASH_BYTES:
-        raise ValueError(f"a hash of {len(sha256)} bytes, expected {HASH_BYTES}")
-    return sha256
-
-
-def image_switched(payload: bytes) -> int:
-    """Decode IMAGE_SWITCH: the number that the image has got."""
-    (sequence,) = Reader(Msp.IMAGE_SWITCH, payload).fields("I")
-    return int(sequence)

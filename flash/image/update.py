@@ -8,21 +8,16 @@ again; where that does not help, IMAGE_BEGIN tells where the board is, and the w
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
 
 from neuroflight.flash.image.files import Image, bank_name
 from neuroflight.flash.image.messages import (
     DATA_BYTES_MAX,
-    image_begun,
-    image_ended,
-    image_hash,
     image_hashed,
     image_info,
-    image_switch,
-    image_switched,
     image_write,
+    number,
 )
-from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.link.client import PATIENCE_S, Client, NoAnswerError, RefusedError, patiently
 from neuroflight.toolchain.contract import Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
 
@@ -30,24 +25,12 @@ Progress = Callable[[str, int, int], None]  # action ("erase", "write", "check")
 Clock = Callable[[], float]
 
 FLASH_TIMEOUT_S = 5.0  # for one answer: erasing a bank stalls the board for up to 2 s
-PATIENCE_S = 30.0  # without progress until the update is given up
 ANEW = 2  # times that a damaged image is written again
 
 
-Reply = TypeVar("Reply")
-
-
-def patiently(client: Client, ask: Callable[[], Reply], clock: Clock) -> Reply:
-    """Repeat `ask` while nobody answers and return its result. Late replies to earlier requests are discarded
-    first. Raises LinkError after PATIENCE_S of silence."""
-    deadline = clock() + PATIENCE_S
-    while True:
-        try:
-            client.settle()
-            return ask()
-        except NoAnswerError:
-            if clock() > deadline:
-                raise
+def _number(client: Client, message: Msp, payload: bytes = b"") -> int:
+    """Ask for what takes the time of an erasure at most, and is answered with a number."""
+    return number(message, client.request(message, payload, timeout=FLASH_TIMEOUT_S))
 
 
 def write_image(client: Client, image: Image, progress: Progress, clock: Clock) -> None:
@@ -91,7 +74,7 @@ def _begin(client: Client, image: Image, progress: Progress, clock: Clock) -> in
 
     def ask() -> int:
         try:
-            return image_begun(client.request(Msp.IMAGE_BEGIN, image.header.raw, timeout=FLASH_TIMEOUT_S))
+            return _number(client, Msp.IMAGE_BEGIN, image.header.raw)
         except RefusedError as error:
             if error.reason is not Refusal.ORDER:
                 raise
@@ -115,11 +98,7 @@ def _begin(client: Client, image: Image, progress: Progress, clock: Clock) -> in
 
 def _check(client: Client, image: Image, clock: Clock) -> None:
     """Raise LinkError unless flash has exactly the image's bytes, as the board reads them."""
-
-    def ask() -> int:
-        return image_ended(client.request(Msp.IMAGE_END, timeout=FLASH_TIMEOUT_S))
-
-    crc = patiently(client, ask, clock)
+    crc = patiently(client, lambda: _number(client, Msp.IMAGE_END), clock)
     if crc != image.header.crc:
         raise LinkError(
             f"{client.name}: {bank_name(image.bank)} reads back with the CRC {crc:08x}, expected "
@@ -135,21 +114,14 @@ def _check(client: Client, image: Image, clock: Clock) -> None:
 
 def hash_of(client: Client, bank: int, clock: Clock) -> bytes:
     """Return the SHA-256 of a bank's image, which the board computes from flash. Raises LinkError."""
-
-    def ask() -> bytes:
-        return image_hashed(client.request(Msp.IMAGE_HASH, image_hash(bank), timeout=FLASH_TIMEOUT_S))
-
-    return patiently(client, ask, clock)
+    asked = Msp.IMAGE_HASH, bytes([bank])
+    told = patiently(client, lambda: client.request(*asked, timeout=FLASH_TIMEOUT_S), clock)
+    return image_hashed(told)
 
 
 def switch(client: Client, image: Image, clock: Clock) -> int:
     """Make the spare bank's image the one that the next boot starts. Returns its number. Raises LinkError."""
-    payload = image_switch(image.sha256)
-
-    def ask() -> int:
-        return image_switched(client.request(Msp.IMAGE_SWITCH, payload, timeout=FLASH_TIMEOUT_S))
-
-    sequence = patiently(client, ask, clock)
+    sequence = patiently(client, lambda: _number(client, Msp.IMAGE_SWITCH, image.sha256), clock)
     bank = patiently(client, lambda: image_info(client.request(Msp.IMAGE_INFO)), clock).banks[image.bank]
     if not bank.numbered or bank.sequence != sequence or bank.crc != image.header.crc:
         raise LinkError(

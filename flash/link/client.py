@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import TypeVar
 
 from neuroflight.flash.link import requests
 from neuroflight.flash.link.msp import Corrupt, Decoder, Direction, Message, encode, request
@@ -17,7 +18,10 @@ STORING_TIMEOUT_S = (
     5.0  # erasing the largest sector takes up to two seconds, and nothing else goes on meanwhile
 )
 RETRIES = 2
+PATIENCE_S = 30.0  # with a line that is silent, where it may come back
 UNASKED_MAX = 4096  # unsolicited messages kept, for each command
+
+Reply = TypeVar("Reply")
 
 
 class NoAnswerError(LinkError):
@@ -31,6 +35,23 @@ class RefusedError(LinkError):
         """reason: as the firmware gave it; None: without one, as for a command it does not know."""
         super().__init__(message)
         self.reason = reason
+
+
+def patiently(
+    client: Client, ask: Callable[[], Reply], clock: Callable[[], float], patience_s: float = PATIENCE_S
+) -> Reply:
+    """Repeat `ask` while nobody answers, without late replies to earlier requests, and return its result.
+
+    Raises LinkError after `patience_s` of silence.
+    """
+    deadline = clock() + patience_s
+    while True:
+        try:
+            client.settle()
+            return ask()
+        except NoAnswerError:
+            if clock() > deadline:
+                raise
 
 
 class Client:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum, IntEnum, auto
+from enum import Enum, IntEnum
 from functools import reduce
 from operator import xor
 
@@ -135,115 +135,36 @@ _CHECKSUMS: dict[Version, Callable[[bytes, int], int]] = {
 
 
 # --- Decoding --------------------------------------------------------------------------------
-class _State(Enum):
-    """The next part of a frame that the decoder expects."""
-
-    MARK = auto()
-    VERSION = auto()
-    DIRECTION = auto()
-    V1_HEADER = auto()
-    JUMBO_SIZE = auto()
-    V2_HEADER = auto()
-    PAYLOAD = auto()
-    CHECKSUM = auto()
+_PREAMBLE = (b"$", b"MX", b"<>!")  # the bytes that may stand in each of a frame's first places
 
 
-@dataclass
-class _Frame:
-    """The known part of the frame that begins at the first byte of the decoder's buffer."""
+def _first_frame(data: bytes, payload_max: int) -> tuple[Event | None, int]:
+    """Read the frame that begins `data`: the event it gives, if any, and its length [bytes].
 
-    payload_max: int
-    state: _State = _State.MARK
-    taken: int = 0  # bytes of the buffer that the states so far have consumed
-    version: Version = Version.V1
-    direction: Direction = Direction.REQUEST
-    command: int = 0
-    size: int = 0
-    payload: bytes = b""
-    checksum: int = 0
-
-    def cover(self, data: bytes) -> None:
-        """Continue the checksum over `data`."""
-        self.checksum = _CHECKSUMS[self.version](data, self.checksum)
-
-
-class _Noise(Enum):
-    """The bytes so far are not the beginning of a frame."""
-
-    NOISE = auto()
-
-
-# Result of reading a field: the next state, a whole message, or a reason to search on.
-_Outcome = _State | Message | Corrupt | _Noise
-
-
-def _mark(frame: _Frame, data: bytes) -> _Outcome:
-    return _State.VERSION if data == b"$" else _Noise.NOISE
-
-
-def _version(frame: _Frame, data: bytes) -> _Outcome:
-    if data not in (b"M", b"X"):
-        return _Noise.NOISE
-    frame.version = Version.V1 if data == b"M" else Version.V2
-    return _State.DIRECTION
-
-
-def _direction(frame: _Frame, data: bytes) -> _Outcome:
-    if data not in (b"<", b">", b"!"):
-        return _Noise.NOISE
-    frame.direction = Direction(data)
-    return _State.V1_HEADER if frame.version is Version.V1 else _State.V2_HEADER
-
-
-def _v1_header(frame: _Frame, data: bytes) -> _Outcome:
-    frame.cover(data)
-    size, frame.command = data
-    return _State.JUMBO_SIZE if size == JUMBO_MARK else _payload_of(frame, size)
-
-
-def _jumbo_size(frame: _Frame, data: bytes) -> _Outcome:
-    frame.cover(data)
-    return _payload_of(frame, int.from_bytes(data, "little"))
-
-
-def _v2_header(frame: _Frame, data: bytes) -> _Outcome:
-    frame.cover(data)
-    _flags, frame.command, size = struct.unpack("<BHH", data)
-    return _payload_of(frame, size)
-
-
-def _payload_of(frame: _Frame, size: int) -> _Outcome:
-    if size > frame.payload_max:
-        detail = f"command {frame.command} announces {size} bytes, expected at most {frame.payload_max}"
-        return Corrupt(Reason.TOO_LONG, detail)
-    frame.size = size
-    return _State.PAYLOAD
-
-
-def _payload(frame: _Frame, data: bytes) -> _Outcome:
-    frame.cover(data)
-    frame.payload = data
-    return _State.CHECKSUM
-
-
-def _checksum(frame: _Frame, data: bytes) -> _Outcome:
-    if data[0] != frame.checksum:
-        detail = f"command {frame.command} came with 0x{data[0]:02X}, expected 0x{frame.checksum:02X}"
-        return Corrupt(Reason.CHECKSUM, detail)
-    return Message(frame.version, frame.direction, frame.command, frame.payload)
-
-
-# The state machine: for each state, the number of bytes to wait for and the function that reads them.
-_TABLE: dict[_State, tuple[Callable[[_Frame], int], Callable[[_Frame, bytes], _Outcome]]] = {
-    _State.MARK: (lambda frame: 1, _mark),
-    _State.VERSION: (lambda frame: 1, _version),
-    _State.DIRECTION: (lambda frame: 1, _direction),
-    _State.V1_HEADER: (lambda frame: 2, _v1_header),
-    _State.JUMBO_SIZE: (lambda frame: 2, _jumbo_size),
-    _State.V2_HEADER: (lambda frame: 5, _v2_header),
-    _State.PAYLOAD: (lambda frame: frame.size, _payload),
-    _State.CHECKSUM: (lambda frame: 1, _checksum),
-}
+    Without an event, the length is that of the part to wait for, or 0 when no frame begins here.
+    """
+    if any(byte not in allowed for byte, allowed in zip(data, _PREAMBLE, strict=False)):
+        return None, 0
+    version = Version.V2 if data[1:2] == b"X" else Version.V1
+    jumbo = version is Version.V1 and data[3:4] == bytes([JUMBO_MARK])
+    start = 8 if version is Version.V2 else 7 if jumbo else 5  # of the payload
+    if len(data) < start:
+        return None, start
+    if version is Version.V2:
+        command, size = struct.unpack_from("<HH", data, 4)
+    else:
+        size, command = (int.from_bytes(data[5:7], "little") if jumbo else data[3]), data[4]
+    end = start + size
+    if size > payload_max:
+        detail = f"command {command} announces {size} bytes, expected at most {payload_max}"
+        return Corrupt(Reason.TOO_LONG, detail), start
+    if len(data) <= end:
+        return None, end + 1
+    checksum = _CHECKSUMS[version](data[3:end], 0)
+    if data[end] != checksum:
+        detail = f"command {command} came with 0x{data[end]:02X}, expected 0x{checksum:02X}"
+        return Corrupt(Reason.CHECKSUM, detail), end + 1
+    return Message(version, Direction(data[2:3]), command, data[start:end]), end + 1
 
 
 class Decoder:
@@ -257,64 +178,44 @@ class Decoder:
     def __init__(self, payload_max: int = MSP_PAYLOAD_MAX) -> None:
         """payload_max: longest payload to accept [bytes]; a frame that announces more is Corrupt."""
         self._payload_max = payload_max
-        self._buffer = bytearray()
-        self._frame = _Frame(payload_max)
-        self._skipped = 0
+        self._buffer = b""
+        self.skipped = 0  # bytes so far that belonged to no whole frame
 
     @property
     def pending(self) -> int:
         """Bytes kept of a frame that is not finished."""
         return len(self._buffer)
 
-    @property
-    def skipped(self) -> int:
-        """Bytes so far that belonged to no whole frame."""
-        return self._skipped
-
     def feed(self, data: bytes) -> list[Event]:
         """Decode the bytes that arrived and return the events they complete, in order."""
         self._buffer += data
-        return self._advance()
+        events: list[Event] = []
+        while self._buffer:
+            event, length = _first_frame(self._buffer, self._payload_max)
+            if event is not None:
+                events.append(event)
+            if isinstance(event, Message):
+                self._buffer = self._buffer[length:]
+            elif event is not None or length == 0:
+                self._skip_to_next_mark()
+            else:
+                break
+        return events
 
     def flush(self) -> list[Event]:
         """Discard the unfinished frame, because the line is silent, and search its bytes again."""
         events: list[Event] = []
         while self._buffer:
-            frame = self._frame
-            if frame.state not in (_State.MARK, _State.VERSION, _State.DIRECTION):
+            if len(self._buffer) >= len(_PREAMBLE):
                 detail = f"{len(self._buffer)} bytes and then silence, expected the rest of a frame"
                 events.append(Corrupt(Reason.TRUNCATED, detail))
-            self._resynchronise()
-            events += self._advance()
+            self._skip_to_next_mark()
+            events += self.feed(b"")
         return events
 
-    def _advance(self) -> list[Event]:
-        """Run the state machine until the buffer runs short."""
-        events: list[Event] = []
-        while True:
-            frame = self._frame
-            width, take = _TABLE[frame.state]
-            end = frame.taken + width(frame)
-            if end > len(self._buffer):
-                return events
-            outcome = take(frame, bytes(self._buffer[frame.taken : end]))
-            if isinstance(outcome, _State):
-                frame.state, frame.taken = outcome, end
-                continue
-            if isinstance(outcome, Message | Corrupt):
-                events.append(outcome)
-            if isinstance(outcome, Message):
-                self._begin(after=end)
-            else:
-                self._resynchronise()
-
-    def _resynchronise(self) -> None:
+    def _skip_to_next_mark(self) -> None:
         """Skip to the next byte that may begin a frame."""
         start = self._buffer.find(b"$", 1)
         start = len(self._buffer) if start < 0 else start
-        self._skipped += start
-        self._begin(after=start)
-
-    def _begin(self, after: int) -> None:
-        del self._buffer[:after]
-        self._frame = _Frame(self._payload_max)
+        self.skipped += start
+        self._buffer = self._buffer[start:]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -32,7 +33,7 @@ class Ground:
         self._wires = [Wire(peer, system) for peer in peers]
         self._system, self._clock, self._say = system, clock, say
         self._texts = 0
-        self._complained = clock() - COMPLAINT_PERIOD_S
+        self._complained = -math.inf  # s, the last time
         self._refused: dict[str, float] = {}  # lines of the last second, and when
 
     def heard(self) -> Iterator[tuple[Source, Any]]:

@@ -22,7 +22,6 @@ from neuroflight.toolchain.contract import (
 Source = tuple[int, int, int]  # peer, system id, component id
 
 TIMEOUT_S = 0.3  # default; the firmware holds after 0.1 s of silence more, and stops after 1 s
-TIMEOUT_MIN_S, TIMEOUT_MAX_S = 0.05, 1.0
 SOURCES_MAX = 8  # sources whose setpoints are kept
 OFF_S = 0.3  # time after a disarm in which channels send "off" while no companion steers
 IDLE: Mapping[int, int] = {

@@ -121,7 +121,9 @@ class Stream:
     def stop(self) -> None:
         """Stop the stream, if the line still works."""
         with contextlib.suppress(LinkError):
-            self._client.request(Msp.STREAM, struct.pack("<H", 0))
+            for _ in range(2):  # the first reply may be that to `begin`, which Ctrl-C cut short
+                if self._client.request(Msp.STREAM, bytes(2)) == bytes(2):
+                    break
 
     def _count(self, payload: bytes) -> None:
         if len(payload) < HEAD.size:

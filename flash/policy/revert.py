@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from neuroflight.flash.board.restart import restart
 from neuroflight.flash.link.client import Client, NoAnswerError
 from neuroflight.flash.link.policy_errors import policy_error
-from neuroflight.flash.policy.slots import Policies, Slot, read_patiently
-from neuroflight.flash.policy.swap import Board
+from neuroflight.flash.policy.slots import Policies, Slot
+from neuroflight.flash.policy.swap import Board, restarted
 from neuroflight.toolchain.contract import Msp
 from neuroflight.toolchain.errors import LinkError
 
@@ -57,13 +56,7 @@ def start(client: Client, flown: Slot, before: Slot, board: Board) -> Client:
 
     Raises LinkError, the client closed.
     """
-    client = restart(client, board.reopen, board.clock, board.sleep)
-    try:
-        check_reverted(client.name, read_patiently(client, board.clock), flown, before)
-    except BaseException:
-        client.close()
-        raise
-    return client
+    return restarted(client, board, lambda name, now: check_reverted(name, now, flown, before))
 
 
 def check_reverted(name: str, policies: Policies, flown: Slot, before: Slot) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from neuroflight.flash.link import messages
-from neuroflight.flash.link.client import Client, NoAnswerError
+from neuroflight.flash.link.client import Client, patiently
 from neuroflight.flash.link.layouts import read
 from neuroflight.flash.link.messages import PolicyInfo, PolicySource
 from neuroflight.toolchain.contract import FirmwareError, Msp
@@ -108,11 +107,6 @@ def newer(a: int, b: int) -> bool:
     return 0 < (a - b) % SEQUENCE_SPAN < SEQUENCE_SPAN // 2
 
 
-def slot_info(source: PolicySource) -> bytes:
-    """Encode POLICY_SLOT_INFO."""
-    return struct.pack("<B", source)
-
-
 def slot_of(source: PolicySource, payload: bytes) -> Slot:
     """Decode POLICY_SLOT_INFO of that slot. Raises LinkError."""
     told = read(Msp.POLICY_SLOT_INFO, payload)
@@ -137,16 +131,10 @@ def read_policies(client: Client) -> Policies:
     slots = []
     for source in PLACES:
         client.settle()  # replies do not name their slot
-        slots.append(slot_of(source, client.request(Msp.POLICY_SLOT_INFO, slot_info(source))))
+        slots.append(slot_of(source, client.request(Msp.POLICY_SLOT_INFO, bytes([source]))))
     return Policies(info, tuple(slots))
 
 
 def read_patiently(client: Client, clock: Callable[[], float]) -> Policies:
     """Read all slots, repeating the request while nobody answers: it changes nothing. Raises LinkError."""
-    deadline = clock() + PATIENCE_S
-    while True:
-        try:
-            return read_policies(client)
-        except NoAnswerError:
-            if clock() >= deadline:
-                raise
+    return patiently(client, lambda: read_policies(client), clock, PATIENCE_S)

@@ -172,15 +172,26 @@ def start(client: Client, candidate: Candidate, slot: Slot, board: Board) -> Cli
 
     Raises LinkError, the client closed, when the board does not come back, and when it flies another policy.
     """
+    waits = (
+        f"; {candidate.file} stands in {slot.name} and is flown from the next start on if it passes its "
+        "self-test: `neuroflight board policy list` tells"
+    )
+    return restarted(client, board, lambda name, now: check_flown(name, now, candidate, slot), waits)
+
+
+def restarted(
+    client: Client, board: Board, check: Callable[[str, Policies], None], waits: str = ""
+) -> Client:
+    """Restart the firmware and `check` what it flies then. Returns a client of the new start.
+
+    waits: said behind the reason where the firmware does not come back. Raises LinkError, the client closed.
+    """
     try:
         client = restart(client, board.reopen, board.clock, board.sleep)
     except LinkError as error:
-        raise LinkError(
-            f"{error}; {candidate.file} stands in {slot.name} and is flown from the next start on if it "
-            "passes its self-test: `neuroflight board policy list` tells"
-        ) from error
+        raise LinkError(f"{error}{waits}") from error
     try:
-        check_flown(client.name, read_patiently(client, board.clock), candidate, slot)
+        check(client.name, read_patiently(client, board.clock))
     except BaseException:
         client.close()
         raise

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
-from neuroflight.flash.rom.segments import ERASED, Segment
+from neuroflight.flash.rom.segments import Segment, content_of
 from neuroflight.toolchain.contract import (
     DTCM,
     FLASH_BANKS,
@@ -19,7 +19,6 @@ from neuroflight.toolchain.contract import (
     POLICY_BLOB_LAYOUT,
     ImageHeader,
     PolicyHeader,
-    Region,
     image_checksum,
     image_header,
     policy_checksum,
@@ -54,9 +53,9 @@ def check_image(segments: Sequence[Segment]) -> ImageFacts:
     """Check an image of boot part and bank and return its properties. Raises LinkError if it cannot start."""
     _check_boot_part(segments)
     for number, bank in enumerate(FLASH_BANKS):
-        content = _content(segments, bank)
+        content = content_of(segments, bank)
         if content:
-            return _check_bank(number, content, _content(segments, FLASH_POLICY_SLOTS[0]))
+            return _check_bank(number, content, content_of(segments, FLASH_POLICY_SLOTS[0]))
     raise LinkError(
         "the image is a boot part without a bank, expected both; nothing was written; take neuroflight.hex, "
         ".bin or .elf of a build"
@@ -130,16 +129,3 @@ def policy_for(image: ImageHeader, content: bytes) -> tuple[PolicyHeader, bytes]
 
 def _refuse(number: int, why: str) -> NoReturn:
     raise LinkError(f"the image for bank {'AB'[number]} {why}; nothing was written")
-
-
-def _content(segments: Sequence[Segment], region: Region) -> bytes:
-    """Return the bytes that the segments put into a region, from its start on."""
-    content = bytearray([ERASED]) * region.size
-    end = 0
-    for segment in segments:
-        if segment.address < region.address + region.size and region.address < segment.end:
-            start = max(segment.address, region.address)
-            data = segment.data[start - segment.address : region.address + region.size - segment.address]
-            content[start - region.address : start - region.address + len(data)] = data
-            end = max(end, start - region.address + len(data))
-    return bytes(content[:end])

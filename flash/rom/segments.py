@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from elftools.common.exceptions import ELFError
 from elftools.construct import ConstructError
 from elftools.elf.elffile import ELFFile
 
-from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
+from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS, Region
 from neuroflight.toolchain.errors import LinkError
 from neuroflight.toolchain.files import file_size
 
@@ -46,6 +46,18 @@ class Segment:
     def end(self) -> int:
         """The address behind it."""
         return self.address + len(self.data)
+
+
+def content_of(segments: Sequence[Segment], region: Region) -> bytes:
+    """Return the bytes that the segments put into a region, from its start on; none where that is nothing."""
+    content = bytearray()
+    for segment in segments:
+        start, end = max(segment.address, region.address), min(segment.end, region.address + region.size)
+        if start < end:
+            content = content.ljust(end - region.address, bytes([ERASED]))
+            data = segment.data[start - segment.address : end - segment.address]
+            content[start - region.address : end - region.address] = data
+    return bytes(content)
 
 
 def read_segments(path: Path) -> tuple[Segment, ...]:

@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.strict_toml import StrictTable
 
 Terms = tuple[float, float]  # a1, a2 of 1 + a1 J + a2 J^2
@@ -42,9 +43,8 @@ class AdvanceRatio:
             ends.append(-0.5 * first / second)
         return min([*ends, RATIO_LAST])
 
-    def factors(self, ratio: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Compute the factors of thrust and torque at advance ratios of any shape; rotor.c has the
-        formula."""
+    def factors(self, ratio: ArrayLike) -> tuple[Array, Array]:
+        """Compute the factors of thrust and torque at advance ratios of any shape, as rotor.c does."""
         at = np.clip(np.asarray(ratio, np.float64), self.ratio_least, self.ratio_max)
         thrust, torque = (1.0 + (first + second * at) * at for first, second in (self.thrust, self.torque))
         return np.maximum(thrust, 0.0), np.maximum(torque, 0.0)
@@ -55,7 +55,6 @@ def read_advance(table: StrictTable) -> AdvanceRatio:
     thrust = _terms(table, "thrust")
     torque = _terms(table, "torque")
     least = table.number("ratio_least", -RATIO_LAST, 0.0, 0.0)
-    table.finish()
     advance = AdvanceRatio(thrust, torque, least)
     ratios = np.linspace(least, advance.ratio_max, 301)
     for key, values in zip(("thrust", "torque"), advance.factors(ratios), strict=True):

@@ -77,13 +77,13 @@ class Meshes:
 
 def read_parts(root: StrictTable, meshes: Meshes) -> list[Part]:
     """Read every [[part]]."""
-    return [_placed_part(table, meshes) for table in root.tables("part", 1, PARTS_MAX)]
+    return list(root.parts("part", 1, PARTS_MAX, lambda table: _placed_part(table, meshes)))
 
 
 def read_rotors(root: StrictTable, meshes: Meshes) -> tuple[tuple[Rotor, ...], list[Part]]:
     """Read every [[rotor]], and the motors and propellers on them."""
-    motor = _mounted_part(root, "motor_part", meshes)
-    propeller = _mounted_part(root, "propeller_part", meshes)
+    motor = root.optional_part("motor_part", lambda table: _part(table, "motor_part", meshes))
+    propeller = root.optional_part("propeller_part", lambda table: _part(table, "propeller_part", meshes))
     rotors: list[Rotor] = []
     parts: list[Part] = []
     tables = root.tables("rotor", 1, PARTS_MAX)
@@ -119,23 +119,11 @@ def reject_collisions(root: StrictTable, rotors: Sequence[Rotor], diameter: floa
 
 
 def _placed_part(table: StrictTable, meshes: Meshes) -> Part:
-    part = replace(
+    return replace(
         _part(table, table.text("name"), meshes),
         position=table.vector("position_m", -10, 10),
         rotation=_rotation(table),
     )
-    table.finish()
-    return part
-
-
-def _mounted_part(root: StrictTable, key: str, meshes: Meshes) -> Part | None:
-    """Read the part that sits on every rotor, or None if the file has no such table."""
-    if not root.has(key):
-        return None
-    table = root.table(key)
-    part = _part(table, key, meshes)
-    table.finish()
-    return part
 
 
 def _rotation(table: StrictTable) -> Vector:

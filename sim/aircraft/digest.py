@@ -25,8 +25,7 @@ EARLIER = {
 
 
 def flown_sha256(document: Mapping[str, Any], mesh: Callable[[str], bytes]) -> str:
-    """Compute a digest of what the twin flies: the parsed file without names, comments and PIDs, and the
-    meshes' content.
+    """Compute a digest of what the twin flies: the file without names, comments and PIDs, and its meshes.
 
     Order of keys, layout and how a number is written do not count; a key written out counts, even with the
     value that it has when left out. document: of a valid aircraft. mesh: returns a mesh's bytes by its name.

@@ -6,15 +6,18 @@ import copy
 import re
 import tomllib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from neuroflight.sim.aircraft.model import FILE_BYTES_MAX, parse_aircraft
+from neuroflight.sim.strict_toml import parse_toml
 from neuroflight.toolchain.errors import AircraftError
-from neuroflight.toolchain.files import file_size, write_bytes
+from neuroflight.toolchain.files import read_limited, write_bytes
 
 Value = str | float | tuple[float, ...]
-Changes = Mapping[str, Mapping[str, Value]]  # table ("gyro", "propulsion.response"), key, value
+# Table ("gyro", "propulsion.response"), key, value; None: the key goes.
+Changes = Mapping[str, Mapping[str, Value | None]]
 
 # Strings, then comments: what is not structure.
 _OPAQUE = re.compile(
@@ -24,73 +27,119 @@ _HEADER = re.compile(r"[ \t]*\[[ \t]*([A-Za-z0-9_-]+(?:[ \t]*\.[ \t]*[A-Za-z0-9_
 _ASSIGNMENT = re.compile(r"[ \t]*([A-Za-z0-9_-]+)[ \t]*=[ \t]*")
 
 
-def edit_aircraft(path: Path, changes: Changes) -> None:
-    """Give the file at `path` the values of `changes`; keys and tables that it lacks are added.
+@dataclass(frozen=True)
+class Statement:
+    """One statement of a file, its line end included: lines, joined while a bracket is open."""
 
-    What is written has been read back as an aircraft first. Raises AircraftError, the file untouched, on one
-    that is missing, too large or not TOML, that keeps a table in another form than [table], or that is no
-    valid aircraft afterwards.
+    text: str
+    table: str  # it stands in; "" also within a list of tables
+    heads: bool  # whether it is that table's header
+    key: str  # it assigns, "": none
+    value: tuple[int, int]  # begin and end of that key's value in `text`
+
+
+def edit_aircraft(
+    source: Path, changes: Changes, target: Path | None = None, note: tuple[str, str] | None = None
+) -> None:
+    """Give the file at `source` the values of `changes`; keys and tables that it lacks are added.
+
+    target: gets the edited file; None: `source` does. note: begin and end of a comment below the header of
+    the first table, in place of one that begins so. What is written has been read back as an aircraft first.
+    Raises AircraftError, the file untouched, on one that is missing, too large or not TOML, that keeps a
+    table in another form than [table], or that is no valid aircraft afterwards.
     """
-    where = f"aircraft file {path}"
-    if not path.is_file():
+    where = f"aircraft file {source}"
+    if not source.is_file():
         raise AircraftError(f"{where}: no such file; copy one of sim/aircraft/ there and make it yours")
-    if file_size(path) > FILE_BYTES_MAX:
-        raise AircraftError(f"{where}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
-    data = path.read_bytes()
-    try:
-        before = tomllib.loads(data.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise AircraftError(f"{where}: not TOML: {error}") from error
-    text = data.decode()
+    data = read_limited(source, where, FILE_BYTES_MAX, AircraftError)
+    before = parse_toml(data, where, AircraftError)
+    text = data.decode("utf-8-sig")
     for table, values in changes.items():
         for key, value in values.items():
-            text = _with_key(text, table, key, _toml(value))
+            text = with_key(text, table, key, value)
+    if note is not None:
+        text = _with_note(text, next(iter(changes)), *note)
+    tables = " and ".join(f"[{table}]" for table in changes)
+    write_edited(source, target or source, text, _expected(before, changes), tables)
+
+
+def write_edited(source: Path, target: Path, text: str, expected: dict[str, Any], tables: str) -> None:
+    """Write an edited aircraft file that says `expected` and is an aircraft.
+
+    Raises AircraftError, `target` as it was, on another one: `source` has not the plain `tables` that can be
+    edited.
+    """
     try:
-        after = tomllib.loads(text)
+        document = tomllib.loads(text)
     except tomllib.TOMLDecodeError:
-        after = {}
-    if after != _expected(before, changes):
-        tables = " and ".join(f"[{table}]" for table in changes)
-        raise AircraftError(f"{where}: cannot be edited as it is written; give it plain tables {tables}")
-    parse_aircraft(text.encode(), str(path), path.parent)
+        document = {}
+    if document != expected:
+        raise AircraftError(
+            f"aircraft file {source}: cannot be edited as it is written; give it plain tables {tables}"
+        )
+    parse_aircraft(text.encode(), str(target), target.parent)
     try:
-        write_bytes(path, text.encode())
+        write_bytes(target, text.encode())
     except OSError as error:
-        raise AircraftError(f"{where}: cannot be written: {error.strerror}") from error
+        raise AircraftError(f"aircraft file {target}: cannot be written: {error.strerror}") from error
 
 
-def _with_key(text: str, table: str, key: str, value: str) -> str:
-    """Set `key` of `table` in `text`: replace its value, or add a line below the table's header."""
+def statements(text: str) -> list[Statement]:
+    """Split a file into its statements; a comment or an empty line is one too."""
     bare = _OPAQUE.sub(lambda m: (" " if m.group("comment") else "x") * len(m.group()), text)
-    newline = "\r\n" if "\r\n" in text else "\n"
-    inside, below = False, -1
-    for start, end in _statements(bare):
-        statement = bare[start:end]
-        header = _HEADER.fullmatch(statement)
-        if header or statement.lstrip().startswith("[["):
-            inside = header is not None and "".join(header.group(1).split()) == table
-            below = end if inside else below
-        elif inside and (assignment := _ASSIGNMENT.match(statement)) and assignment.group(1) == key:
-            first, last = start + assignment.end(), start + len(statement.rstrip())
-            return text[:first] + value + text[last:]
-    if below >= 0:
-        gap = "" if text[:below].endswith("\n") else newline
-        return f"{text[:below]}{gap}{key} = {value}{newline}{text[below:]}"
-    gap = "" if text.endswith("\n") or not text else newline
-    return f"{text}{gap}{newline}[{table}]{newline}{key} = {value}{newline}"
-
-
-def _statements(bare: str) -> list[tuple[int, int]]:
-    """Start and end of each header or assignment, by offset: lines, joined while a bracket is open."""
-    found: list[tuple[int, int]] = []
+    found: list[Statement] = []
+    table = ""
     start = end = depth = 0
     for line in bare.splitlines(keepends=True):
         end += len(line)
         depth += sum(line.count(c) for c in "[{") - sum(line.count(c) for c in "]}")
-        if depth <= 0:
-            found.append((start, end))
-            start, depth = end, 0
+        if depth > 0:
+            continue
+        statement = bare[start:end]
+        header, assignment = _HEADER.fullmatch(statement), _ASSIGNMENT.match(statement)
+        if header or statement.lstrip().startswith("[["):
+            table = "".join(header.group(1).split()) if header else ""
+        key = assignment.group(1) if assignment else ""
+        value = (assignment.end(), len(statement.rstrip())) if assignment else (0, 0)
+        found.append(Statement(text[start:end], table, header is not None, key, value))
+        start, depth = end, 0
     return found
+
+
+def newline_of(text: str) -> str:
+    """Return the line end of a file."""
+    return "\r\n" if "\r\n" in text else "\n"
+
+
+def with_key(text: str, table: str, key: str, value: Value | None) -> str:
+    """Set `key` of `table` in `text`: replace its value, or add a line below the table's header."""
+    newline, found = newline_of(text), statements(text)
+    lines = [line.text for line in found]
+    for number, line in enumerate(found):
+        if (line.table, line.key) == (table, key):
+            first, last = line.value
+            lines[number] = "" if value is None else line.text[:first] + _toml(value) + line.text[last:]
+            return "".join(lines)
+    if value is None:
+        return text
+    if lines and not text.endswith("\n"):
+        lines[-1] += newline
+    below = [number for number, line in enumerate(found, 1) if line.heads and line.table == table]
+    if not below:
+        lines.append(f"{newline}[{table}]{newline}")
+    lines.insert(below[-1] if below else len(lines), f"{key} = {_toml(value)}{newline}")
+    return "".join(lines)
+
+
+def _with_note(text: str, table: str, begin: str, end: str) -> str:
+    """Return `text` with that comment below the header of `table`, in place of one with the same begin."""
+    lines = []
+    for line in statements(text):
+        if line.table != table or not line.text.startswith(begin):
+            lines.append(line.text)
+        if line.table == table and line.heads:
+            lines.append(f"{begin}{end}{newline_of(text)}")
+    return "".join(lines)
 
 
 def _expected(before: dict[str, Any], changes: Changes) -> dict[str, Any]:
@@ -101,7 +150,9 @@ def _expected(before: dict[str, Any], changes: Changes) -> dict[str, Any]:
             at = at.setdefault(name, {})
             if not isinstance(at, dict):
                 return {"": None}  # a list or a number where the table should be: equal to nothing read
-        at.update({k: list(v) if isinstance(v, tuple) else v for k, v in values.items()})
+        at |= {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+        for key in [key for key, value in values.items() if value is None]:
+            del at[key]
     return after
 
 

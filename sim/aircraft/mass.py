@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+
+from neuroflight.sim.arrays import Array
 
 Vector = tuple[float, float, float]
 Tensor = tuple[Vector, Vector, Vector]
@@ -30,7 +31,7 @@ class Part:
     rotation: Vector  # [rad], roll, pitch, yaw: about the fixed x, then y, then z axis
     centre: Vector  # [m], centre of mass in the part's own frame
     inertia: Tensor  # [kg m^2], about that centre, along the part's own axes
-    surface: NDArray[np.float64] | None = field(  # (K, 3, 3) [m], triangles in the part's own frame
+    surface: Array | None = field(  # (K, 3, 3) [m], triangles in the part's own frame
         default=None, repr=False, compare=False
     )
     mesh: MeshPose | None = None  # None: not a mesh
@@ -41,8 +42,8 @@ class MassProperties:
     """Mass, centre and inertia of all parts together."""
 
     mass: float  # [kg]
-    centre: NDArray[np.float64]  # (3,) [m], body frame
-    inertia: NDArray[np.float64]  # (3, 3) [kg m^2], about the centre, body axes
+    centre: Array  # (3,) [m], body frame
+    inertia: Array  # (3, 3) [kg m^2], about the centre, body axes
 
 
 def mass_properties(parts: Sequence[Part]) -> MassProperties:
@@ -61,7 +62,7 @@ def mass_properties(parts: Sequence[Part]) -> MassProperties:
     return MassProperties(mass, centre, inertia)
 
 
-def principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def principal(inertia: Array) -> tuple[Array, Array]:
     """Return principal moments (3,) and their axes, the columns of (3, 3), of a symmetric inertia tensor.
 
     In the order of the body axes that the principal axes are nearest to; each points along its body axis.
@@ -75,17 +76,17 @@ def principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
     return moments[order], axes * np.where(np.diag(axes) < 0, -1.0, 1.0)
 
 
-def rotation_matrix(rotation: Vector) -> NDArray[np.float64]:
+def rotation_matrix(rotation: Vector) -> Array:
     """Return the rotation (3, 3), part to body, of roll, pitch, yaw [rad] about the fixed x, y, z axes."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(rotation), np.sin(rotation)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
     about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
-    turn: NDArray[np.float64] = about_z @ about_y @ about_x
+    turn: Array = about_z @ about_y @ about_x
     return turn
 
 
-def rotation_angles(turn: NDArray[np.float64]) -> Vector:
+def rotation_angles(turn: Array) -> Vector:
     """Return roll, pitch and yaw [rad] of a rotation matrix: the inverse of `rotation_matrix`."""
     pitch = float(np.arcsin(np.clip(-turn[2, 0], -1.0, 1.0)))
     if abs(turn[2, 0]) < 1.0 - 1e-9:

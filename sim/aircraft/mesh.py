@@ -11,11 +11,10 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import MeshPose, Tensor, Vector, rotation_matrix
+from neuroflight.sim.arrays import Array
 
-Array = NDArray[np.float64]
 BYTES_MAX = 32 << 20  # of a mesh file; 670,000 triangles in binary
 SIZE_MIN, SIZE_MAX = 1e-4, 10.0  # [m], longest side of a part; another size means a wrong unit
 CORNERS = 48  # of the polygon that a cylinder's surface is drawn with

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.advance import AdvanceRatio, read_advance
 from neuroflight.sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, reject_collisions
@@ -21,10 +20,11 @@ from neuroflight.sim.aircraft.airframe import Rotor as Rotor
 from neuroflight.sim.aircraft.digest import EARLIER, file_sha256, flown_sha256
 from neuroflight.sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
 from neuroflight.sim.aircraft.props_out import SUFFIX, props_out
-from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.sim.arrays import Array
+from neuroflight.sim.strict_toml import StrictTable, parse_toml
 from neuroflight.toolchain.contract import AXES, GRAVITY, POLICY_FILTER_MEAN, Mix
 from neuroflight.toolchain.errors import AircraftError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 
 FOLDER = Path(__file__).parent
 FILE_BYTES_MAX = 256 << 10
@@ -79,9 +79,7 @@ class Propulsion:
     supply_voltage: float | None  # [V], where the speed curve was measured; None: not known
     efficiency: float  # electrical power to power on the shaft, motor and ESC, 0..1
     propeller_diameter: float | None = None  # [m]; None: not known
-    advance: AdvanceRatio | None = (
-        None  # needs the diameter; None: forces are those of a rotor at rest in the air
-    )
+    advance: AdvanceRatio | None = None  # needs the diameter; None: forces are those of a rotor at rest
 
     @property
     def speed_max(self) -> float:
@@ -203,12 +201,12 @@ class Aircraft:
         return EARLIER.get(sha256, sha256) in (self.sha256, self.file_sha256)
 
     @property
-    def rotor_positions(self) -> NDArray[np.float64]:
+    def rotor_positions(self) -> Array:
         """Hubs relative to the centre of mass [m], shape (M, 3), motor order."""
         return np.array([rotor.position for rotor in self.rotors]) - self.mass_properties.centre
 
     @property
-    def spins(self) -> NDArray[np.float64]:
+    def spins(self) -> Array:
         """Turning directions, shape (M,), +1 counter-clockwise seen from above."""
         return np.array([float(rotor.spin) for rotor in self.rotors])
 
@@ -235,13 +233,7 @@ def load_aircraft(name: str | Path) -> Aircraft:
         raise AircraftError(
             f"aircraft {str(name)!r}: no such file; give the path of a .toml file or one of: {known}"
         )
-    try:
-        size = file_size(path)
-        data = path.read_bytes() if size <= FILE_BYTES_MAX else b""
-    except OSError as error:
-        raise AircraftError(f"aircraft file {path}: cannot be read: {error.strerror}") from error
-    if size > FILE_BYTES_MAX:
-        raise AircraftError(f"aircraft file {path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
+    data = read_limited(path, f"aircraft file {path}", FILE_BYTES_MAX, AircraftError)
     return parse_aircraft(data, str(path), path.parent, out=str(name).endswith(SUFFIX))
 
 
@@ -251,7 +243,7 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: 
     folder: where its meshes lie; without one, a file that names a mesh is refused. out: with its propellers
     out, all turning the other way than in the file.
     """
-    document = _document(data, where)
+    document = over_base(parse_toml(data, f"aircraft file {where}", AircraftError), where)
     if out:
         document = props_out(document)
     root = StrictTable(document, f"aircraft file {where}", AircraftError)
@@ -264,18 +256,18 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: 
     meshes = Meshes(folder)
     parts = read_parts(root, meshes)
     rotors, mounted = read_rotors(root, meshes)
-    propulsion = _propulsion(root.table("propulsion"))
+    propulsion = root.part("propulsion", _propulsion)
     reject_collisions(root, rotors, propulsion.propeller_diameter)
-    gyro = _gyro(root.table("gyro"))
-    accelerometer = _accelerometer(root.table("accelerometer")) if root.has("accelerometer") else None
-    esc = _esc(root.table("esc")) if root.has("esc") else EscTelemetry()
+    gyro = root.part("gyro", _gyro)
+    accelerometer = root.optional_part("accelerometer", _accelerometer)
+    esc = root.optional_part("esc", _esc) or EscTelemetry()
     if esc.thermal is not None and propulsion.supply_voltage is None:
         raise root.error(
             "esc.thermal", "heat needs the motors' current, and that propulsion.supply_voltage_v; give it"
         )
-    battery = _battery(root.table("battery")) if root.has("battery") else None
-    body = _body(root.table("body")) if root.has("body") else None
-    pids = _pids(root.table("pid"), len(rotors)) if root.has("pid") else ()
+    battery = root.optional_part("battery", _battery)
+    body = root.optional_part("body", _body)
+    pids = root.optional_part("pid", lambda table: _pids(table, len(rotors))) or ()
     root.finish()
     parts += mounted
     return Aircraft(
@@ -297,6 +289,32 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: 
     )
 
 
+def over_base(document: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return a parsed file laid over the shipped aircraft that its `base` names, if it has one.
+
+    Tables are joined key by key; anything else, a list of tables too, is the file's or else the base's.
+    Raises AircraftError where there is no such aircraft.
+    """
+    if (base := document.get("base")) is None:
+        return document
+    if base not in shipped():
+        raise AircraftError(
+            f"aircraft file {where}: base: got {base!r}, expected one of: {', '.join(shipped())}"
+        )
+    file = FOLDER / f"{base}.toml"
+    below = parse_toml(file.read_bytes(), f"aircraft file {file}", AircraftError)
+    return _over(below, {key: value for key, value in document.items() if key != "base"})
+
+
+def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    joined = {
+        key: _over(below[key], value)
+        for key, value in above.items()
+        if isinstance(value, dict) and isinstance(below.get(key), dict)
+    }
+    return below | above | joined
+
+
 def thrust_coefficient(c_t: float, diameter: float, density: float) -> float:
     """Compute K_T [N s^2/rad^2] of a propeller [m] in air of `density` [kg/m^3] from its dimensionless C_T.
 
@@ -313,51 +331,30 @@ def torque_ratio(c_t: float, c_q: float, diameter: float) -> float:
     return c_q * diameter / c_t
 
 
-def _document(data: bytes, where: str) -> dict[str, object]:
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        byte = data[error.start]
-        raise AircraftError(
-            f"aircraft file {where}: not UTF-8: byte 0x{byte:02x} at {error.start}; save it as UTF-8 text"
-        ) from error
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
-        lines = text.splitlines()
-        found = re.search(r"at line (\d+)", str(error))
-        line = lines[int(found[1]) - 1].strip() if found and int(found[1]) <= len(lines) else ""
-        shown = f": {line[:60]!r}" if line else ""
-        raise AircraftError(
-            f"aircraft file {where}: not TOML: {error or 'nested too deep'}{shown}"
-        ) from error
-
-
 def _propulsion(table: StrictTable) -> Propulsion:
     a, b, c = table.vector("speed_curve_rpm", -1e6, 1e6)
     if b <= 0 or 2 * a + b < 0 or c < 0:
         raise table.error(
             "speed_curve_rpm", f"[{a}, {b}, {c}] must rise over throttle 0..1 and start at no less than 0 rpm"
         )
-    diameter = _optional(table, "propeller_diameter_m", 0.01, 5)
+    diameter = table.optional_number("propeller_diameter_m", 0.01, 5)
     thrust, torque = _coefficients(table, (a + b + c) * RPM)
     propulsion = Propulsion(
         speed_curve=(a * RPM, b * RPM, c * RPM),
         thrust_coefficient=thrust,
         torque_ratio=torque,
         rotor_inertia=table.number("rotor_inertia_kg_m2", 1e-12, 10),
-        response=_response(table.table("response")),
+        response=table.part("response", _response),
         drag_coefficient=table.number("drag_coefficient", 0, 1),
         rolling_coefficient=table.number("rolling_coefficient", 0, 1),
         delay=table.number("delay_s", 0, 0.1),
-        supply_voltage=_optional(table, "supply_voltage_v", 1, 1000),
+        supply_voltage=table.optional_number("supply_voltage_v", 1, 1000),
         efficiency=table.number("efficiency", 0.05, 1, EFFICIENCY_DEFAULT),
         propeller_diameter=diameter,
-        advance=read_advance(table.table("advance_ratio")) if table.has("advance_ratio") else None,
+        advance=table.optional_part("advance_ratio", read_advance),
     )
     if propulsion.advance is not None and diameter is None:
         raise table.error("propeller_diameter_m", "missing; [propulsion.advance_ratio] needs it")
-    table.finish()
     return propulsion
 
 
@@ -390,26 +387,22 @@ def _coefficient(table: StrictTable, key: str, speed_max: float, high: float) ->
 
 
 def _response(table: StrictTable) -> Response:
-    kind = table.choice("kind", {"torque": "torque", "first_order": "first_order"})
-    response: Response
-    if kind == "torque":
-        response = TorqueResponse(
-            gain=table.number("gain", 1e-12, 10),
-            torque_up=table.number("torque_up_n_m", 1e-9, 1000),
-            torque_down=table.number("torque_down_n_m", 1e-9, 1000),
-            friction=table.number("friction_n_m_s", 0, 10, 0.0),
-        )
-        if response.friction >= response.gain:
-            raise table.error(
-                "friction_n_m_s",
-                f"got {response.friction:g}, expected less than gain, {response.gain:g}, which includes it",
-            )
-    else:
-        response = FirstOrderResponse(
+    if table.choice("kind", {"torque": False, "first_order": True}):
+        return FirstOrderResponse(
             time_constant_up=table.number("time_constant_up_s", 1e-4, 10),
             time_constant_down=table.number("time_constant_down_s", 1e-4, 10),
         )
-    table.finish()
+    response = TorqueResponse(
+        gain=table.number("gain", 1e-12, 10),
+        torque_up=table.number("torque_up_n_m", 1e-9, 1000),
+        torque_down=table.number("torque_down_n_m", 1e-9, 1000),
+        friction=table.number("friction_n_m_s", 0, 10, 0.0),
+    )
+    if response.friction >= response.gain:
+        raise table.error(
+            "friction_n_m_s",
+            f"got {response.friction:g}, expected less than gain, {response.gain:g}, which includes it",
+        )
     return response
 
 
@@ -421,7 +414,6 @@ def _battery(table: StrictTable) -> Battery:
         resistance=table.number("resistance_ohm", 0, 100),
         electronics_power=table.number("electronics_w", 0, 1000, 0.0),
     )
-    table.finish()
     cell = battery.rest_voltage / battery.cells
     if not CELL_VOLTAGE_MIN <= cell <= CELL_VOLTAGE_MAX:
         raise table.error(
@@ -433,93 +425,75 @@ def _battery(table: StrictTable) -> Battery:
 
 
 def _gyro(table: StrictTable) -> Gyro:
-    gyro = Gyro(
+    return Gyro(
         noise=_radians(table.vector("noise_deg_s", 0, 100)),
         bias=math.radians(table.number("bias_deg_s", 0, 100)),
-        bandwidth_hz=_optional(table, "bandwidth_hz", 1, 1e5),
+        bandwidth_hz=table.optional_number("bandwidth_hz", 1, 1e5),
         misalignment=_radians(table.vector("misalignment_deg", -10, 10, ZERO)),
         vibration=_radians(table.vector("vibration_deg_s", 0, 1000, ZERO)),
     )
-    table.finish()
-    return gyro
 
 
 def _accelerometer(table: StrictTable) -> Accelerometer:
-    accelerometer = Accelerometer(
+    return Accelerometer(
         noise=table.vector("noise_m_s2", 0, 100),
         bias=table.number("bias_m_s2", 0, 10, 0.0),
-        bandwidth_hz=_optional(table, "bandwidth_hz", 1, 1e5),
+        bandwidth_hz=table.optional_number("bandwidth_hz", 1, 1e5),
         full_scale=table.number("full_scale_m_s2", 1, 1e4, Accelerometer.full_scale),
         vibration=table.vector("vibration_m_s2", 0, 1000, ZERO),
     )
-    table.finish()
-    return accelerometer
 
 
 def _esc(table: StrictTable) -> EscTelemetry:
-    esc = EscTelemetry(
+    return EscTelemetry(
         speed_step=table.number("speed_step_rpm", 0, 1e4, 0.0) * RPM,
         voltage_step=table.number("voltage_step_v", 0, 10, 0.0),
         current_step=table.number("current_step_a", 0, 10, 0.0),
-        thermal=_thermal(table.table("thermal")) if table.has("thermal") else None,
+        thermal=table.optional_part("thermal", _thermal),
     )
-    table.finish()
-    return esc
 
 
 def _thermal(table: StrictTable) -> Thermal:
-    thermal = Thermal(
+    return Thermal(
         winding_resistance=table.number("winding_ohm", 0, 100),
         thermal_resistance=table.number("resistance_k_w", 1e-3, 1e4),
         time_constant=table.number("time_constant_s", 1e-3, 1e5),
         ambient=table.number("ambient_c", -90, 90, 20.0),
     )
-    table.finish()
-    return thermal
 
 
 def _body(table: StrictTable) -> Body:
-    body = Body(
+    return Body(
         size=table.vector("size_m", 1e-3, 20),
         centre=table.vector("centre_m", -10, 10),
         drag_area=table.vector("drag_area_m2", 0, 100, ZERO),
     )
-    table.finish()
-    return body
 
 
 def _pids(table: StrictTable, motors: int) -> tuple[tuple[str, PidSettings], ...]:
-    pids = []
-    for name in table.names():
-        pid = table.table(name)
-        roll, pitch, yaw = (pid.vector(axis, 0, 1e6) for axis in AXES)
-        settings = PidSettings(
-            gains=(roll, pitch, yaw),
-            derivative_cutoff_hz=_optional(pid, "derivative_cutoff_hz", 1, 1e5),
-            idle=pid.number("idle", 0, 0.5, 0.0),
-            mixer=_mixer(pid.table("mixer"), motors) if pid.has("mixer") else None,
-            tpa_rate=pid.number("tpa_rate", 0, 1, 0.0),
-            tpa_breakpoint=pid.number("tpa_breakpoint", 0, 0.99, 0.0),
-            nominal_voltage=_optional(pid, "nominal_voltage_v", 1, 1000),
-            mix=pid.choice("mix", {mix.text: mix for mix in Mix}, Mix.ATTITUDE_FIRST.text),
-            gyro_mean=pid.choice("gyro_filter", {"none": False, POLICY_FILTER_MEAN: True}, "none"),
-        )
-        pid.finish()
-        pids.append((name, settings))
-    table.finish()
-    return tuple(pids)
+    return tuple((name, table.part(name, lambda pid: _pid(pid, motors))) for name in table.names())
+
+
+def _pid(table: StrictTable, motors: int) -> PidSettings:
+    roll, pitch, yaw = (table.vector(axis, 0, 1e6) for axis in AXES)
+    return PidSettings(
+        gains=(roll, pitch, yaw),
+        derivative_cutoff_hz=table.optional_number("derivative_cutoff_hz", 1, 1e5),
+        idle=table.number("idle", 0, 0.5, 0.0),
+        mixer=table.optional_part("mixer", lambda mixer: _mixer(mixer, motors)),
+        tpa_rate=table.number("tpa_rate", 0, 1, 0.0),
+        tpa_breakpoint=table.number("tpa_breakpoint", 0, 0.99, 0.0),
+        nominal_voltage=table.optional_number("nominal_voltage_v", 1, 1000),
+        mix=table.choice("mix", {mix.text: mix for mix in Mix}, Mix.ATTITUDE_FIRST.text),
+        gyro_mean=table.choice("gyro_filter", {"none": False, POLICY_FILTER_MEAN: True}, "none"),
+    )
 
 
 def _mixer(table: StrictTable, motors: int) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
     roll, pitch, yaw = (table.numbers(axis, motors, motors, -10, 10) for axis in AXES)
-    table.finish()
     return roll, pitch, yaw
 
 
 def _radians(degrees: Vector) -> Vector:
     x, y, z = (math.radians(value) for value in degrees)
     return (x, y, z)
-
-
-def _optional(table: StrictTable, key: str, low: float, high: float) -> float | None:
-    return table.number(key, low, high) if table.has(key) else None

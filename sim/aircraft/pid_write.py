@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import copy
 import re
 import tomllib
 from pathlib import Path
 from typing import Any
 
-from neuroflight.sim.aircraft.model import PidSettings, load_aircraft, parse_aircraft
+from neuroflight.sim.aircraft.edit import newline_of, statements, write_edited
+from neuroflight.sim.aircraft.model import PidSettings, load_aircraft
 from neuroflight.toolchain.contract import AXES, POLICY_FILTER_MEAN, Mix
 from neuroflight.toolchain.errors import AircraftError
-from neuroflight.toolchain.files import write_bytes
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 MARKS = tuple(f"# Found by `neuroflight {words}" for words in ("pid tune", "tune-pid"))  # and of before
-_HEADER = re.compile(r"\s*\[+\s*([\w.\s-]+?)\s*\]+")
+Lines = list[tuple[str, list[str]]]  # each with the first two names of the table that it stands in
 
 
 def write_pid(source: Path, target: Path, name: str, settings: PidSettings, comment: str) -> None:
@@ -30,55 +29,39 @@ def write_pid(source: Path, target: Path, name: str, settings: PidSettings, comm
         raise AircraftError(f"PID name {name!r}: expected 1 to 32 letters, digits, dashes or underscores")
     load_aircraft(source)
     text = source.read_bytes().decode("utf-8-sig")
-    newline = "\r\n" if "\r\n" in text else "\n"
-    lines = text.splitlines(keepends=True)
+    newline, lines = newline_of(text), [(each.text, each.table.split(".")[:2]) for each in statements(text)]
     first, last = _place(lines, name)
     block = [*_comment(comment), f"[pid.{name}]", *_keys(settings)]
-    after = lines[last:]
-    if after and after[0].strip():
+    before, after = ("".join(line for line, _ in part) for part in (lines[:first], lines[last:]))
+    if after and lines[last][0].strip():
         block.append("")
-    before = "".join(lines[:first])
     if before and not before.endswith("\n"):
         before += newline
     if first == len(lines) and before:
         before += newline
-    edited = before + "".join(line + newline for line in block) + "".join(after)
-    expected = copy.deepcopy(tomllib.loads(text))
+    expected = tomllib.loads(text)
     expected.setdefault("pid", {})[name] = _document(settings)
-    if _parsed(edited) != expected:
-        raise AircraftError(
-            f"aircraft file {source}: cannot be edited as it is written; give it plain tables [pid.NAME]"
-        )
-    data = edited.encode()
-    parse_aircraft(data, str(target), target.parent)
-    write_bytes(target, data)
+    edited = before + "".join(line + newline for line in block) + after
+    write_edited(source, target, edited, expected, "[pid.NAME]")
 
 
-def _place(lines: list[str], name: str) -> tuple[int, int]:
+def _place(lines: Lines, name: str) -> tuple[int, int]:
     """Return the lines to replace: [pid.NAME] and our comment above, or none before the first PID."""
-    tables = [(number, match[1]) for number, line in enumerate(lines) if (match := _HEADER.match(line))]
-    own = [number for number, table in tables if _is(table, name)]
+    own = [number for number, (_, table) in enumerate(lines) if table == ["pid", name]]
     if own:
-        later = [number for number, _ in tables if number > own[-1]]
-        first, last = own[0], _comment_above(lines, later[0]) if later else len(lines)
-        top = _comment_above(lines, first)
-        marked = [number for number in range(top, first) if lines[number].startswith(MARKS)]
-        return min([first, *marked]), last
-    pids = [number for number, table in tables if table.split(".")[0].strip() == "pid"]
+        above = range(_comment_above(lines, own[0]), own[0])
+        marked = [number for number in above if lines[number][0].startswith(MARKS)]
+        return min([own[0], *marked]), _comment_above(lines, own[-1] + 1)
+    pids = [number for number, (_, table) in enumerate(lines) if table[:1] == ["pid"]]
     place = _comment_above(lines, pids[0]) if pids else len(lines)
     return place, place
 
 
-def _comment_above(lines: list[str], number: int) -> int:
+def _comment_above(lines: Lines, number: int) -> int:
     """Return the first of the comment lines right above line `number`, or `number` itself."""
-    while number > 0 and lines[number - 1].startswith("#"):
+    while 0 < number < len(lines) and lines[number - 1][0].startswith("#"):
         number -= 1
     return number
-
-
-def _is(table: str, name: str) -> bool:
-    parts = [part.strip() for part in table.split(".")]
-    return parts[:2] == ["pid", name]
 
 
 def _comment(comment: str) -> list[str]:
@@ -102,10 +85,3 @@ def _document(settings: PidSettings) -> dict[str, Any]:
 
 def _keys(settings: PidSettings) -> list[str]:
     return [f"{key} = {value!r}" for key, value in _document(settings).items()]
-
-
-def _parsed(text: str) -> dict[str, Any] | None:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return None

@@ -8,23 +8,21 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import Vector, rotation_matrix
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import AircraftError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 
 FILE_BYTES_MAX = 4 << 20
 ELEMENTS_MAX = 100_000
 LINKS_MAX = 1000
 VERTICAL = math.cos(math.radians(1.0))  # of a rotor's axis: thrust along the body's z
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +54,7 @@ class Link:
     mass: float = 0.0  # [kg]
     centre: Pose = HERE  # of mass, with the axes of the inertia, in the link
     inertia: Array | None = None  # (3, 3) [kg m^2]; None: not said
-    corners: Array | None = (
-        None  # (K, 3) [m], corners of the boxes around colliding shapes, in the link; None: there are none
-    )
+    corners: Array | None = None  # (K, 3) [m] of the boxes around colliding shapes, in the link
     radius: float | None = None  # [m], of a cylinder that collides
 
 
@@ -99,16 +95,7 @@ class Robot:
 def read_xml(path: Path, where: str) -> ET.Element:
     """Parse a file. Raises AircraftError, one line, on one that is missing, too large or no such XML."""
     try:
-        size = file_size(path)
-        data = path.read_bytes() if size <= FILE_BYTES_MAX else b""
-    except (OSError, ValueError) as error:
-        raise AircraftError(
-            f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        ) from error
-    if size > FILE_BYTES_MAX:
-        raise AircraftError(f"{where}: {size} bytes, expected at most {FILE_BYTES_MAX}")
-    try:
-        text = data.decode("utf-8-sig")
+        text = read_limited(path, where, FILE_BYTES_MAX, AircraftError).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise AircraftError(f"{where}: not UTF-8 at byte {error.start}; save it as UTF-8 text") from error
     if any(word in text.upper() for word in ("<!DOCTYPE", "<!ENTITY")):
@@ -155,9 +142,10 @@ def vector(text: str | None, what: str) -> Vector:
     return (x, y, z)
 
 
-def tensor(moments: dict[str, float]) -> Array:
-    """Return the (3, 3) tensor of ixx, ixy, ixz, iyy, iyz, izz."""
-    xx, xy, xz, yy, yz, zz = (moments[key] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+def tensor(moment: Callable[[str], str | None], what: str) -> Array:
+    """Return a tensor (3, 3); moment: the text of one of its elements, by name."""
+    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    xx, xy, xz, yy, yz, zz = (numbers(moment(key), 1, f"{what}: {key}")[0] for key in keys)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
@@ -166,6 +154,38 @@ def box_corners(pose: Pose, size: Vector) -> Array:
     signs = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
     corners: Array = pose.position + (signs * np.array(size)) @ pose.turn.T
     return corners
+
+
+def collisions(
+    link: ET.Element,
+    pose: Callable[[ET.Element], Pose],
+    size: Callable[[ET.Element, str], str | None],
+    what: str,
+) -> tuple[Array | None, float | None]:
+    """Return corners of the boxes around a link's boxes, cylinders and spheres, and a cylinder's radius.
+
+    pose: of a collision in the link; size: the text of a shape's key, which URDF and SDF keep differently.
+    """
+    corners, radius = [], None
+
+    def number(shape: ET.Element, key: str) -> float:
+        return numbers(size(shape, key), 1, f"{what}: {key}")[0]
+
+    for collision in link.iterfind("collision"):
+        for shape in collision.iterfind("geometry/*"):
+            if shape.tag == "box":
+                sides = vector(size(shape, "size"), f"{what}: box")
+            elif shape.tag == "cylinder":
+                radius, length = (
+                    numbers(size(shape, key), 1, f"{what}: {key}")[0] for key in ("radius", "length")
+                )
+                sides = (2 * radius, 2 * radius, length)
+            elif shape.tag == "sphere":
+                sides = (2 * numbers(size(shape, "radius"), 1, f"{what}: radius")[0],) * 3
+            else:
+                continue
+            corners.append(box_corners(pose(collision), sides))
+    return (np.concatenate(corners) if corners else None), radius
 
 
 def motor_plugins(root: ET.Element, where: str) -> Iterator[Drive]:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from neuroflight.sim.aircraft.mass import Part, Vector, rotation_angles
-from neuroflight.sim.aircraft.robot import Array, Drive, Link, Robot
+from neuroflight.sim.aircraft.robot import Drive, Link, Robot
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import AircraftError
 
 MASS_MIN = 1e-6  # [kg], of a part

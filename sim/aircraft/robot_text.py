@@ -12,7 +12,7 @@ import numpy as np
 
 from neuroflight.sim.aircraft.mass import Vector
 from neuroflight.sim.aircraft.model import RPM, Aircraft, FirstOrderResponse, TorqueResponse, aircraft_file
-from neuroflight.sim.aircraft.robot import Array, Drive, Robot
+from neuroflight.sim.aircraft.robot import Drive, Robot
 from neuroflight.sim.aircraft.robot_parts import (
     MASS_MIN,
     alike,
@@ -24,6 +24,7 @@ from neuroflight.sim.aircraft.robot_parts import (
     toml,
     vector_of,
 )
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import AircraftError
 
 GYRO_OF = "nf1"  # the aircraft whose gyro and accelerometer are assumed if a model has none

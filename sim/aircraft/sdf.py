@@ -8,17 +8,17 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from neuroflight.sim.aircraft.mass import Vector
 from neuroflight.sim.aircraft.robot import (
     HERE,
     LINKS_MAX,
-    Array,
     Drive,
     Link,
     Pose,
     Robot,
-    box_corners,
+    collisions,
     motor_plugins,
     numbers,
     read_xml,
@@ -27,12 +27,12 @@ from neuroflight.sim.aircraft.robot import (
     text_of,
     vector,
 )
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import AircraftError
 
 MODEL = "__model__"
 INCLUDES_MAX, DEPTH_MAX = 50, 8
 ENDLESS_RAD = 1e4  # of a revolute joint: wider limits are those of a rotor
-MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def read_sdf(root: ET.Element, path: Path, where: str) -> Robot:
@@ -207,22 +207,12 @@ def _pose(element: ET.Element, where: str) -> Pose:
     )
     position, turn = (words[0], words[1], words[2]), words[3:]
     if count == 7:
-        return Pose(np.array(position), _of_quaternion(turn))
+        if not any(turn):
+            raise AircraftError(f"{what}: a quaternion of zeros, expected one of length 1")
+        return Pose(np.array(position), Rotation.from_quat(turn).as_matrix())
     if pose.get("degrees") in ("true", "1"):
         turn = tuple(map(math.radians, turn))
     return Pose.of(position, (turn[0], turn[1], turn[2]))
-
-
-def _of_quaternion(xyzw: tuple[float, ...]) -> Array:
-    length = math.sqrt(sum(part * part for part in xyzw)) or 1.0
-    x, y, z, w = (part / length for part in xyzw)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def _link(element: ET.Element, name: str, pose: Pose, where: str) -> Link:
@@ -233,27 +223,7 @@ def _link(element: ET.Element, name: str, pose: Pose, where: str) -> Link:
     inertia = inertial.find("inertia")
     moments = None
     if inertia is not None:
-        moments = tensor({key: numbers(text_of(inertia, key), 1, f"{what}: {key}")[0] for key in MOMENTS})
-    corners, radius = _collisions(element, what)
+        moments = tensor(lambda key: text_of(inertia, key), what)
+    corners, radius = collisions(element, lambda collision: _pose(collision, what), text_of, what)
     mass = numbers(text_of(inertial, "mass"), 1, f"{what}: mass")[0]
     return Link(name, pose, mass, _pose(inertial, what), moments, corners, radius)
-
-
-def _collisions(element: ET.Element, what: str) -> tuple[Array | None, float | None]:
-    """See sim/aircraft/urdf.py."""
-    corners, radius = [], None
-    for collision in element.iterfind("collision"):
-        pose, geometry = _pose(collision, what), collision.find("geometry")
-        if geometry is None:
-            continue
-        if (box := geometry.find("box")) is not None:
-            corners.append(box_corners(pose, vector(text_of(box, "size"), f"{what}: box")))
-        if (cylinder := geometry.find("cylinder")) is not None:
-            radius, length = (
-                numbers(text_of(cylinder, key), 1, f"{what}: {key}")[0] for key in ("radius", "length")
-            )
-            corners.append(box_corners(pose, (2 * radius, 2 * radius, length)))
-        if (sphere := geometry.find("sphere")) is not None:
-            across = 2 * numbers(text_of(sphere, "radius"), 1, f"{what}: radius")[0]
-            corners.append(box_corners(pose, (across, across, across)))
-    return (np.concatenate(corners) if corners else None), radius

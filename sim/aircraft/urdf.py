@@ -12,18 +12,18 @@ from neuroflight.sim.aircraft.model import RPM
 from neuroflight.sim.aircraft.robot import (
     HERE,
     LINKS_MAX,
-    Array,
     Drive,
     Link,
     Pose,
     Robot,
-    box_corners,
+    collisions,
     motor_plugins,
     numbers,
     spinning_drives,
     tensor,
     vector,
 )
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import AircraftError
 
@@ -150,7 +150,9 @@ def _axis(joint: ET.Element, where: str) -> Array:
 def _link(element: ET.Element, pose: Pose, where: str) -> Link:
     name = _name(element, where)
     what = f"{where}: link {name}"
-    corners, radius = _collisions(element, what)
+    corners, radius = collisions(
+        element, lambda collision: _origin(collision, f"{what}: collision"), ET.Element.get, what
+    )
     inertial = element.find("inertial")
     if inertial is None:
         return Link(name, pose, corners=corners, radius=radius)
@@ -158,24 +160,5 @@ def _link(element: ET.Element, pose: Pose, where: str) -> Link:
     kilograms = 0.0 if mass is None else numbers(mass.get("value"), 1, f"{what}: mass")[0]
     moments = None
     if inertia is not None:
-        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        moments = tensor({key: numbers(inertia.get(key), 1, f"{what}: inertia {key}")[0] for key in keys})
+        moments = tensor(inertia.get, f"{what}: inertia")
     return Link(name, pose, kilograms, _origin(inertial, what), moments, corners, radius)
-
-
-def _collisions(element: ET.Element, what: str) -> tuple[Array | None, float | None]:
-    """Return corners of the boxes around boxes, cylinders, spheres, and a cylinder's radius."""
-    corners, radius = [], None
-    for collision in element.iterfind("collision"):
-        pose = _origin(collision, f"{what}: collision")
-        if (box := collision.find("geometry/box")) is not None:
-            corners.append(box_corners(pose, vector(box.get("size"), f"{what}: box")))
-        if (cylinder := collision.find("geometry/cylinder")) is not None:
-            radius, length = (
-                numbers(cylinder.get(key), 1, f"{what}: {key}")[0] for key in ("radius", "length")
-            )
-            corners.append(box_corners(pose, (2 * radius, 2 * radius, length)))
-        if (sphere := collision.find("geometry/sphere")) is not None:
-            across = 2 * numbers(sphere.get("radius"), 1, f"{what}: radius")[0]
-            corners.append(box_corners(pose, (across, across, across)))
-    return (np.concatenate(corners) if corners else None), radius

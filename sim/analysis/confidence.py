@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from neuroflight.sim.arrays import Array, Flags
+
 NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
 # The same of Student's t with 1 to 10 degrees of freedom.
 STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)
@@ -25,15 +26,25 @@ class Mean:
     high: Array
     count: NDArray[np.int64]  # how many episodes it is the mean of
 
+    @property
+    def significant(self) -> bool:
+        """True if the interval excludes zero."""
+        return bool(self.low > 0.0 or self.high < 0.0)
 
-def mean_of(values: Array, valid: NDArray[np.bool_], each: int = 1) -> Mean:
-    """Compute the mean of the `valid` ones of values (E, ...) with Student's t interval; a single one has no
-    width.
+    def document(self) -> dict[str, float]:
+        """Return the mean and its interval as JSON data."""
+        return {name: float(getattr(self, name)) for name in ("value", "low", "high")}
 
+
+def mean_of(values: Array, valid: Flags | None = None, each: int = 1) -> Mean:
+    """Compute the mean of the `valid` values (E, ...) with Student's t interval, of a single one no width.
+
+    valid: None: all of them.
     each: how many values one after another are of one flight. They depend on each other, so that the
     interval is that of as many independent values as there are flights: of the sums over a flight of what
     its values differ from the mean, the linearised ratio of two sums.
     """
+    valid = np.ones(values.shape, bool) if valid is None else valid
     count = valid.sum(axis=0)
     some = np.maximum(count, 1)
     mean = np.where(valid, values, 0.0).sum(axis=0) / some
@@ -64,7 +75,7 @@ def paired(first: Array, second: Array) -> Mean:
     return mean_of(each, count > 0)
 
 
-def share_of(hits: NDArray[np.bool_], each: int = 1) -> Mean:
+def share_of(hits: Flags, each: int = 1) -> Mean:
     """Compute the share of hits (E, ...), 0..1, with Wilson's interval, which has a width at 0 and at 1 too.
 
     each: see `mean_of`; the interval is that of as many hits and misses as there are flights.

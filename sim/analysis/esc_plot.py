@@ -6,11 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.plotting import INK, MOTOR_COLOURS, MUTED, dress, legend_above, titled_figure
-
-Array = NDArray[np.float64]
 
 TITLES = {  # of each topic, its unit
     "speed_rpm": ("rotor speed", "rpm"),
@@ -29,8 +27,7 @@ def draw_topics(topics: Mapping[str, Array], rate_hz: int, title: str) -> Figure
     for panel, (name, (label, unit)) in zip(panels.flat, TITLES.items(), strict=True):
         values = topics[name]
         time = np.arange(len(values)) / rate_hz
-        dress(panel, label)
-        panel.set_ylabel(unit, color=INK)
+        dress(panel, label, up=unit)
         if not np.isfinite(values).all():
             panel.text(
                 *(0.5, 0.5, "not in the aircraft file"), transform=panel.transAxes, ha="center", color=MUTED

@@ -12,12 +12,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
-from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.confidence import Mean
 from neuroflight.sim.analysis.holding import DRIFT_S, Holding
 from neuroflight.sim.analysis.metrics import FlightFigures
 from neuroflight.sim.analysis.response import ResponseFigures
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.flight.trace import Trace
 from neuroflight.sim.plotting import (
     AXIS_COLOURS,
@@ -153,7 +153,7 @@ def save_report(path: Path, flights: Sequence[Flight], title: str, note: str) ->
     )
 
 
-def _draw_axis(panel: Axes, flights: Sequence[Flight], axis: int, shown: NDArray[np.bool_]) -> None:
+def _draw_axis(panel: Axes, flights: Sequence[Flight], axis: int, shown: Flags) -> None:
     t = flights[0].trace.t[shown]
     setpoint = np.rad2deg(flights[0].trace.setpoint[shown, axis])
     panel.plot(t, setpoint, color=INK, lw=1.0, ls=(0, (4, 2)), label="setpoint", zorder=4)
@@ -168,7 +168,7 @@ def _draw_axis(panel: Axes, flights: Sequence[Flight], axis: int, shown: NDArray
     panel.set_ylim(low - margin, high + margin)
 
 
-def _draw_error(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
+def _draw_error(panel: Axes, flight: Flight, shown: Flags) -> None:
     error = np.rad2deg(flight.trace.setpoint[shown] - flight.trace.rate[shown])
     for axis, colour in enumerate(AXIS_COLOURS):
         panel.plot(flight.trace.t[shown], error[:, axis], color=colour, lw=1.0, label=AXES[axis])
@@ -182,7 +182,7 @@ def _draw_error(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
     panel.minorticks_off()
 
 
-def _draw_motors(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
+def _draw_motors(panel: Axes, flight: Flight, shown: Flags) -> None:
     """Draw each motor, faint, and its moving average over SMOOTH_S."""
     trace = flight.trace
     width = max(1, round(SMOOTH_S * trace.control_rate_hz))
@@ -202,7 +202,7 @@ def _motor(index: int, count: int) -> str:
     return f"{index + 1} {MOTOR_PLACES[index]}" if count == len(MOTOR_PLACES) else f"motor {index + 1}"
 
 
-def _axes(values: NDArray[np.float64], digits: int) -> str:
+def _axes(values: Array, digits: int) -> str:
     return " / ".join(f"{value:.2e}" if value >= 1e7 else f"{value:,.{digits}f}" for value in values)
 
 

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.flight_report import Flight
 from neuroflight.sim.analysis.holding import DRIFT_S
@@ -25,6 +24,7 @@ from neuroflight.sim.analysis.limits import (
     TRACKING,
 )
 from neuroflight.sim.analysis.swing import change, swing
+from neuroflight.sim.arrays import Flags
 from neuroflight.toolchain.contract import AXES
 
 ENTRY_S = 0.2  # beginning of a held command, while rotors and aircraft still respond
@@ -142,7 +142,7 @@ def _swings(flight: Flight, beside: Flight | None) -> Iterator[str]:
 def _windows(flight: Flight) -> Iterator[tuple[slice, float]]:
     """Yield the measured rows of the flight, with the limit of the motors' change in them."""
     trace = flight.trace
-    running: NDArray[np.bool_] = np.all(trace.dshot > 0, axis=1)
+    running: Flags = np.all(trace.dshot > 0, axis=1)
     entry, least = round(ENTRY_S / trace.step_s), max(3, round(HELD_S / trace.step_s))
     rows = len(trace.t)
     if rows >= least and running.all():

@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from neuroflight.sim.analysis.confidence import Mean, mean_of
+from neuroflight.sim.arrays import Array, Flags
 
-Array = NDArray[np.float64]
 SETTLED_S = 0.5  # after the sticks are centred: the aircraft rests, or should
 FIFTHS = 5  # parts of the time before the hover, each with an error at rest
 DRIFT_S = 10.0  # of the hover, its last part
@@ -97,16 +97,16 @@ def holding_figures(each: Holding) -> HoldingFigures:
     return HoldingFigures(**{name: mean_of(values, np.isfinite(values)) for name, values in parts.items()})
 
 
-def settled(setpoint: ArrayLike, step_s: float) -> NDArray[np.bool_]:
+def settled(setpoint: ArrayLike, step_s: float) -> Flags:
     """Return True for each row of setpoints (T, 3) at which all sticks have been centred for SETTLED_S."""
     steps = np.arange(len(np.asarray(setpoint)))
     moved = np.asarray(setpoint).any(axis=1)
     last = np.maximum.accumulate(np.where(moved, steps, -1))
-    rested: NDArray[np.bool_] = steps - last > round(SETTLED_S / step_s)
+    rested: Flags = steps - last > round(SETTLED_S / step_s)
     return rested
 
 
-def _rest(error: Array, resting: NDArray[np.bool_]) -> Array:
+def _rest(error: Array, resting: Flags) -> Array:
     """Compute the mean error of the rows at rest in each fifth, (FIFTHS, 3)."""
     fifths = zip(np.array_split(error, FIFTHS), np.array_split(resting, FIFTHS), strict=True)
     return np.array([part[at].mean(axis=0) if at.any() else np.full(3, np.nan) for part, at in fifths])

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.holding import SETTLED_S
 from neuroflight.sim.analysis.metrics import CHANGE_S, tracking
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.flight.trace import Trace
 
-Array = NDArray[np.float64]
 SHAKE_HZ = (20.0, 80.0)  # of prop wash on a 5-inch: the controller suppresses slower motion, the mass faster
 STEP_MIN_DEG_S = 20.0  # a smaller change of a command has no overshoot to speak of
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from neuroflight.sim.analysis.response import ResponseFigures, hold, response_figures
 from neuroflight.sim.analysis.spectrum import components, smoothness
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.flight.trace import Trace
 from neuroflight.toolchain.contract import IDLE_DEFAULT, Mix
 
-Array = NDArray[np.float64]
 SAMPLES_PER_S = 1000.0  # the 1 ms samples of the sums
 CHANGE_S = 0.001  # the time over which |delta u| is taken
 

@@ -15,12 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from neuroflight.sim.analysis.confidence import Mean, mean_of, share_of
+from neuroflight.sim.arrays import Array, Flags, Indices
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 BAND = 0.10  # half width of the band, part of the initial error
 FLOOR_DEG_S = 5.0  # least half width of the band [deg/s]
 LATE_S = 0.50  # after the command: settled by then, or late
@@ -56,19 +55,17 @@ class Hold:
 class Response:
     """Each axis of each episode, (E, 3) unless said."""
 
-    success: Mask  # settled in the band with the floor, and stayed
-    success_bare: Mask  # the same without the floor
+    success: Flags  # settled in the band with the floor, and stayed
+    success_bare: Flags  # the same without the floor
     settling_ms: Array  # until it stays in the band with the floor; where `success`
     late_error: Array  # mean |error| after LATE_S in % of the initial error; where `large`
-    large: Mask  # initial error of at least the floor
-    rose: Mask  # large, and reached 90 %
+    large: Flags  # initial error of at least the floor
+    rose: Flags  # large, and reached 90 %
     rise_ms: Array  # from 10 % to 90 % of the initial error; where `rose`
     peak: Array  # largest rate towards the command, in % of the initial error; where `large`
     error: Array  # sum of |error| over 1 ms samples [rad/s]
     stability: Array  # |slope| of the rate's linear regression after LATE_S [deg/s^2]
-    slope: (
-        Array  # the same slope with its sign [rad/s^2], as Koch reports it: opposite drifts cancel in a mean
-    )
+    slope: Array  # the same with its sign [rad/s^2], as Koch reports it: opposite drifts cancel in a mean
     in_band_500: Array  # share of the time after 500 ms in the band with the floor, 0..1
     in_band_750: Array
     in_band_500_bare: Array  # the same without the floor
@@ -77,10 +74,10 @@ class Response:
     all_in_band_750: Array
     all_in_band_500_bare: Array
     all_in_band_750_bare: Array
-    steady: Mask  # (E,), all three axes in the band at every sample from LATE_S to STEADY_S, or to the end
-    steady_bare: Mask
-    steady_750: Mask  # the same from LATER_S on
-    steady_750_bare: Mask
+    steady: Flags  # (E,), all three axes in the band at every sample from LATE_S to STEADY_S, or to the end
+    steady_bare: Flags
+    steady_750: Flags  # the same from LATER_S on
+    steady_750_bare: Flags
 
 
 @dataclass(frozen=True)
@@ -145,17 +142,17 @@ def progress(held: Hold) -> Array:
     return np.where(initial == 0.0, 0.0, part)
 
 
-def in_band(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Mask:
+def in_band(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Flags:
     """Return True for each sample in the band, (E, L, 3)."""
     band = np.maximum(BAND * np.abs(held.initial), np.deg2rad(floor_deg_s))
-    inside: Mask = np.abs(held.error) <= band[:, None]
+    inside: Flags = np.abs(held.error) <= band[:, None]
     return inside
 
 
-def large(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Mask:
+def large(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Flags:
     """Return True for axes whose initial error is large enough for percentages, (E, 3)."""
     size = np.abs(held.initial)
-    enough: Mask = (size >= np.deg2rad(floor_deg_s)) & (size > 0.0)
+    enough: Flags = (size >= np.deg2rad(floor_deg_s)) & (size > 0.0)
     return enough
 
 
@@ -170,6 +167,13 @@ def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
     part, enough = progress(held), large(held, floor_deg_s)
     (began, _), (ended, reached) = (_first_crossing(part, level) for level in RISE)
     slope = _slope(held.rate[:, late:], held.step_s)
+    bands = {}
+    for ending, within in (("", inside), ("_bare", bare)):
+        for name, first in (("500", late), ("750", later)):
+            bands[f"in_band_{name}{ending}"] = within[:, first:].mean(axis=1)
+            bands[f"all_in_band_{name}{ending}"] = within[:, first:].all(axis=2).mean(axis=1)
+        bands[f"steady{ending}"] = within[:, late:end].all(axis=(1, 2))
+        bands[f"steady_750{ending}"] = within[:, later:end].all(axis=(1, 2))
     return Response(
         success=success,
         success_bare=success_bare,
@@ -182,18 +186,7 @@ def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
         error=error.sum(axis=1) * (held.step_s * SAMPLES_PER_S),
         stability=np.rad2deg(np.abs(slope)),
         slope=slope,
-        in_band_500=inside[:, late:].mean(axis=1),
-        in_band_750=inside[:, later:].mean(axis=1),
-        in_band_500_bare=bare[:, late:].mean(axis=1),
-        in_band_750_bare=bare[:, later:].mean(axis=1),
-        all_in_band_500=inside[:, late:].all(axis=2).mean(axis=1),
-        all_in_band_750=inside[:, later:].all(axis=2).mean(axis=1),
-        all_in_band_500_bare=bare[:, late:].all(axis=2).mean(axis=1),
-        all_in_band_750_bare=bare[:, later:].all(axis=2).mean(axis=1),
-        steady=np.asarray(inside[:, late:end].all(axis=(1, 2))),
-        steady_bare=np.asarray(bare[:, late:end].all(axis=(1, 2))),
-        steady_750=np.asarray(inside[:, later:end].all(axis=(1, 2))),
-        steady_750_bare=np.asarray(bare[:, later:end].all(axis=(1, 2))),
+        **bands,
     )
 
 
@@ -215,46 +208,35 @@ def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S, commands: int
 
     commands: how many one after another are of one flight; see `mean_of`.
     """
-    everyone = np.ones_like(each.large)
+    judged = {"settling_ms": each.success, "rise_ms": each.rose, "peak": each.large}
+
+    def mean(name: str) -> Mean:
+        values = getattr(each, name)
+        if values.dtype == np.bool_:
+            return share_of(values, commands)
+        return mean_of(values, judged.get(name, np.ones(values.shape, np.bool_)), commands)
+
+    both = {field.name for field in fields(Response)} & {field.name for field in fields(ResponseFigures)}
     return ResponseFigures(
         episodes=len(each.large),
         floor_deg_s=floor_deg_s,
-        success=share_of(each.success, commands),
-        success_bare=share_of(each.success_bare, commands),
-        settling_ms=mean_of(each.settling_ms, each.success, commands),
         failure=mean_of(each.late_error, each.large & ~each.success, commands),
         failure_bare=mean_of(each.late_error, each.large & ~each.success_bare, commands),
-        rise_ms=mean_of(each.rise_ms, each.rose, commands),
-        peak=mean_of(each.peak, each.large, commands),
-        error=mean_of(each.error, everyone, commands),
-        stability=mean_of(each.stability, everyone, commands),
-        slope=mean_of(each.slope, everyone, commands),
-        in_band_500=mean_of(each.in_band_500, everyone, commands),
-        in_band_750=mean_of(each.in_band_750, everyone, commands),
-        in_band_500_bare=mean_of(each.in_band_500_bare, everyone, commands),
-        in_band_750_bare=mean_of(each.in_band_750_bare, everyone, commands),
-        all_in_band_500=mean_of(each.all_in_band_500, everyone[:, 0], commands),
-        all_in_band_750=mean_of(each.all_in_band_750, everyone[:, 0], commands),
-        all_in_band_500_bare=mean_of(each.all_in_band_500_bare, everyone[:, 0], commands),
-        all_in_band_750_bare=mean_of(each.all_in_band_750_bare, everyone[:, 0], commands),
-        steady=share_of(each.steady, commands),
-        steady_bare=share_of(each.steady_bare, commands),
-        steady_750=share_of(each.steady_750, commands),
-        steady_750_bare=share_of(each.steady_750_bare, commands),
+        **{name: mean(name) for name in both},
     )
 
 
-def _settled(inside: Mask, step_s: float) -> tuple[Mask, NDArray[np.intp]]:
+def _settled(inside: Flags, step_s: float) -> tuple[Flags, Indices]:
     """Return True for axes that settle (E, 3), and the first sample from which each stays in the band."""
     steps = inside.shape[1]
     outside_last = np.where(inside.all(axis=1), 0, steps - (~inside[:, ::-1]).argmax(axis=1))
     return outside_last <= steps - round(STAY_S / step_s), outside_last
 
 
-def _first_crossing(part: Array, level: float) -> tuple[Array, Mask]:
+def _first_crossing(part: Array, level: float) -> tuple[Array, Flags]:
     """Return the sample (E, 3) at which `part` (E, L, 3) first reaches `level`, and whether it does."""
     above = part >= level
-    reached: Mask = np.asarray(above.any(axis=1))
+    reached: Flags = np.asarray(above.any(axis=1))
     after = above.argmax(axis=1)[:, None]
     high = np.take_along_axis(part, after, axis=1)[:, 0]
     low = np.take_along_axis(part, np.maximum(after - 1, 0), axis=1)[:, 0]

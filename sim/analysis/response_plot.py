@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.response import (
     BAND,
@@ -19,6 +18,7 @@ from neuroflight.sim.analysis.response import (
     progress,
 )
 from neuroflight.sim.analysis.spectrum_plot import Line, draw_spectra
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.plotting import AXIS_COLOURS, INK, MUTED, SHADE, dress, legend_above, titled_figure
 from neuroflight.toolchain.contract import AXES
 
@@ -38,8 +38,7 @@ def draw_response(held: Hold, figures: ResponseFigures, line: Line, title: str) 
         panel = figure.add_subplot(grid[0, axis], sharex=first, sharey=first)
         first = first or panel
         _draw_axis(panel, 1e3 * held.t[shown], part[enough[:, axis], :, axis], figures, axis)
-        dress(panel, name)
-        panel.set_xlabel("time since the command, ms", color=INK)
+        dress(panel, name, "time since the command, ms")
     assert first is not None
     first.set_ylabel("rate, % of the command", color=INK)
     first.set_xlim(0, 1e3 * float(held.t[shown][-1] + held.step_s))
@@ -50,9 +49,7 @@ def draw_response(held: Hold, figures: ResponseFigures, line: Line, title: str) 
     return figure
 
 
-def _draw_axis(
-    panel: Axes, t: NDArray[np.float64], part: NDArray[np.float64], figures: ResponseFigures, axis: int
-) -> None:
+def _draw_axis(panel: Axes, t: Array, part: Array, figures: ResponseFigures, axis: int) -> None:
     """Draw the responses (E, L) of one axis [%] over t [ms]."""
     colour = AXIS_COLOURS[axis]
     panel.axhspan(100 * (1 - BAND), 100 * (1 + BAND), color=SHADE, zorder=0)
@@ -92,7 +89,7 @@ def _draw_axis(
     )
 
 
-def _draw_band(panel: Axes, held: Hold, figures: ResponseFigures, shown: NDArray[np.bool_]) -> None:
+def _draw_band(panel: Axes, held: Hold, figures: ResponseFigures, shown: Flags) -> None:
     t = 1e3 * held.t[shown]
     floored, bare = (
         100 * in_band(held, floor)[:, shown].mean(axis=0) for floor in (figures.floor_deg_s, 0.0)
@@ -105,13 +102,13 @@ def _draw_band(panel: Axes, held: Hold, figures: ResponseFigures, shown: NDArray
     panel.plot([], [], color=MUTED, lw=1.0, ls=(0, (1, 1.2)), label="no floor")
     panel.set_xlim(0, float(t[-1]) + 1e3 * held.step_s)
     panel.set_ylim(0, 104)
-    panel.set_xlabel("time since the command, ms", color=INK)
-    panel.set_ylabel("% of commands", color=INK)
-    dress(panel, f"within 10 % or {figures.floor_deg_s:g} deg/s")
+    dress(
+        panel, f"within 10 % or {figures.floor_deg_s:g} deg/s", "time since the command, ms", "% of commands"
+    )
     legend_above(panel)
 
 
-def _top(part: NDArray[np.float64], enough: NDArray[np.bool_]) -> float:
+def _top(part: Array, enough: Flags) -> float:
     """Return the upper end of the rates' scale [%]: above nearly every response, three commands at most."""
     tops = [np.percentile(part[enough[:, a], :, a], 95, axis=0).max() for a in range(3) if enough[:, a].any()]
     return min(300.0, 1.06 * float(max(tops, default=0.0)))

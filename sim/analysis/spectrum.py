@@ -13,9 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from neuroflight.sim.arrays import Array
+
 SAMPLE_S = 0.001  # [s] between the samples taken of an output, or its own step where that is longer
 BANDS = 60  # of a drawn spectrum, evenly spaced in the logarithm of frequency
 CHUNK = 64  # signals transformed at a time: their complex copies are the large ones

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from matplotlib.axes import Axes
 
 from neuroflight.sim.analysis.spectrum import Spectrum
-from neuroflight.sim.plotting import INK, MOTOR_COLOURS, dress, plain_numbers
+from neuroflight.sim.plotting import MOTOR_COLOURS, dress, plain_numbers
 
 PERCENT_MIN = 1e-4  # what is drawn of the amplitudes' scale [% of full command]
 
@@ -39,7 +39,5 @@ def draw_spectra(panel: Axes, lines: Sequence[Line]) -> None:
         plain_numbers(axis)
     least = min((float(line.spectrum.amplitude.min(initial=1.0)) for line in lines), default=1.0)
     panel.set_ylim(bottom=max(PERCENT_MIN, 50 * least))
-    panel.set_xlabel("frequency, Hz", color=INK)
-    panel.set_ylabel("amplitude, % of full", color=INK)
-    dress(panel, "spectrum of the motors")
+    dress(panel, "spectrum of the motors", "frequency, Hz", "amplitude, % of full")
     panel.legend(loc="lower left", frameon=False, fontsize=9, handlelength=1.6)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.flight.motion import Motion
 from neuroflight.sim.flight.scenario import Scenario
 
-Array = NDArray[np.float64]
 STEADY_S = 2.0  # end of a segment in which a height is held
 AIRBORNE_M = 0.05  # above the start
 TOUCH_M = 0.01

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.blackbox.flight import WHOLE, Part, armed_rows, check_sticks, cut
 from neuroflight.sim.blackbox.log import Log
 from neuroflight.sim.blackbox.units import channels
 from neuroflight.sim.flight.trace import Trace
 from neuroflight.toolchain.errors import TraceError
-
-Array = NDArray[np.float64]
 
 ASKED_DEG_S = 5.0  # smaller commands count as a stick at rest: 0.5 % of a full stick of 1000 deg/s
 EDGES_DEG_S = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)  # of the histogram of sizes
@@ -69,8 +68,8 @@ class Commands:
 class Sticks:
     """The pilot's sticks in one flight of N rows."""
 
-    setpoint: NDArray[np.float32]  # (N, 3) [rad/s]
-    throttle: NDArray[np.float32]  # (N,) 0..1
+    setpoint: Array32  # (N, 3) [rad/s]
+    throttle: Array32  # (N,) 0..1
     t: Array  # (N,) [s]
 
 
@@ -78,17 +77,17 @@ def log_sticks(log: Log, part: Part = WHOLE) -> Sticks:
     """Return the commands in a log's armed rows. Raises TraceError if it has no setpoint."""
     told = channels(log)
     if told.setpoint is None:
-        raise TraceError(f"{log.path}: log {log.number} has {told.pilot.lacks}")
+        raise TraceError(f"{log.where} has {told.pilot.lacks}")
     if told.throttle is None:
-        raise TraceError(f"{log.path}: log {log.number} has no throttle (setpoint[3] or rcCommand[3])")
+        raise TraceError(f"{log.where} has no throttle (setpoint[3] or rcCommand[3])")
     rows = armed_rows(log, told, part)
     check_sticks(log, told, rows)
     t = told.time(rows.start)[: rows.stop - rows.start]
     sticks = Sticks(told.setpoint[rows], told.throttle[rows], t)
     if not (np.isfinite(sticks.setpoint).all() and np.isfinite(sticks.throttle).all()):
-        raise TraceError(f"{log.path}: log {log.number} has a setpoint that is no number; it is damaged")
+        raise TraceError(f"{log.where} has a setpoint that is no number; it is damaged")
     if not (np.diff(t) > 0).all():
-        raise TraceError(f"{log.path}: log {log.number} has times that do not rise; it is damaged")
+        raise TraceError(f"{log.where} has times that do not rise; it is damaged")
     return sticks
 
 

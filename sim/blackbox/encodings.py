@@ -48,7 +48,7 @@ def _unsigned_vb(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:
 
 def _signed_vb(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:
     word, at = unsigned(data, at)
-    return ((word >> 1) ^ -(word & 1),), at
+    return (signed_of(word),), at
 
 
 def _neg_14bit(data: bytes, at: int, _: int) -> tuple[Sequence[int], int]:

@@ -17,7 +17,6 @@ ARM = 1
 
 
 def words(log: Log, event: Event) -> str:
-    """Describe an event."""
     if event.kind == LogEvent.DISARM:
         reason = event.values.get("reason", 0)
         return f"disarming: {DISARMING[reason] if reason < len(DISARMING) else reason}"

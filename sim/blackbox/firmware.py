@@ -37,7 +37,6 @@ class Firmware:
         return self.maker is maker and self.version >= version
 
     def __str__(self) -> str:
-        """Return name and version for messages."""
         return " ".join((self.maker.value, ".".join(map(str, self.version)))).strip()
 
 

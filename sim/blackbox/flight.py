@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.flight_report import Flight
 from neuroflight.sim.analysis.metrics import figures
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.blackbox.log import Log
 from neuroflight.sim.blackbox.sticks import RATE_MOST_DEG_S, check
 from neuroflight.sim.blackbox.units import Channels, channels
@@ -39,9 +39,9 @@ def armed_rows(log: Log, told: Channels, part: Part = WHOLE) -> slice:
     """Return the rows of `part`. Raises TraceError if the motors were never armed, or the part has no row."""
     rows = np.flatnonzero(told.armed)
     if not len(rows):
-        raise TraceError(f"{log.path}: log {log.number} has no armed row")
+        raise TraceError(f"{log.where} has no armed row")
     first, last = int(rows[0]), int(rows[-1]) + 1
-    chosen = part_rows(f"{log.path}: log {log.number}", told.time(first)[: last - first], part)
+    chosen = part_rows(log.where, told.time(first)[: last - first], part)
     return slice(first + chosen.start, first + chosen.stop)
 
 
@@ -55,7 +55,7 @@ def cut(trace: Trace, part: Part) -> Trace:
     return Trace(**taken)
 
 
-def part_rows(what: str, t: NDArray[np.float64], part: Part) -> slice:
+def part_rows(what: str, t: Array, part: Part) -> slice:
     """Return the rows of `part` in times t (N,) [s] that begin with 0. Raises TraceError without any."""
     # Half a row's tolerance: 0.3 s are 300 rows at 1 kHz, whatever 0.3 is in binary.
     half = 0.5 * float(np.median(np.diff(t))) if len(t) > 1 else 0.0
@@ -76,14 +76,12 @@ def log_trace(log: Log, part: Part = WHOLE, told: Channels | None = None) -> Tra
     the log lacks.
     """
     told = channels(log) if told is None else told
-    where = f"{log.path}: log {log.number}"
     if told.setpoint is None or told.throttle is None or told.gyro is None or told.motors is None:
-        raise TraceError(f"{where} has {_lacking(log, told)}; figures of a flight need them")
+        raise TraceError(f"{log.where} has {_lacking(log, told)}; figures of a flight need them")
     assert told.dshot is not None  # set whenever motors are
     if log.rate_hz < RATE_MIN_HZ:
         raise TraceError(
-            f"{log.path}: log {log.number} has {log.rate_hz:.3g} rows a second, figures of a "
-            f"flight need {RATE_MIN_HZ:g}"
+            f"{log.where} has {log.rate_hz:.3g} rows a second, figures of a flight need {RATE_MIN_HZ:g}"
         )
     rows = armed_rows(log, told, part)
     check_sticks(log, told, rows)
@@ -100,7 +98,7 @@ def log_trace(log: Log, part: Part = WHOLE, told: Channels | None = None) -> Tra
             throttle=told.throttle[rows],
         )
     except TraceError as error:
-        raise TraceError(f"{where}: {error}") from error
+        raise TraceError(f"{log.where}: {error}") from error
 
 
 def check_sticks(log: Log, told: Channels, rows: slice, most_deg_s: float = RATE_MOST_DEG_S) -> None:
@@ -108,8 +106,7 @@ def check_sticks(log: Log, told: Channels, rows: slice, most_deg_s: float = RATE
     asked = told.pilot
     assert asked.rates is not None
     throttle = None if asked.throttle is None else asked.throttle[rows]
-    where = f"{log.path}: log {log.number}"
-    check(where, asked.rates[rows], throttle, _seconds(told, rows), rows.start, most_deg_s)
+    check(log.where, asked.rates[rows], throttle, _seconds(told, rows), rows.start, most_deg_s)
 
 
 def check_motors(log: Log, told: Channels, rows: slice) -> None:
@@ -121,12 +118,12 @@ def check_motors(log: Log, told: Channels, rows: slice) -> None:
         motor = int(bad[row].argmax())
         value = log.columns[f"motor[{motor}]"][rows.start + row]
         raise TraceError(
-            f"{log.path}: log {log.number}: in row {rows.start + row}, {_seconds(told, rows)[row]:.3f} s, "
+            f"{log.where}: in row {rows.start + row}, {_seconds(told, rows)[row]:.3f} s, "
             f"motor[{motor}] is {value}, which no motor is given; leave them out by --from and --to"
         )
 
 
-def _seconds(told: Channels, rows: slice) -> NDArray[np.float64]:
+def _seconds(told: Channels, rows: slice) -> Array:
     """Return the times of the armed rows `rows` [s], from the first armed row."""
     first = int(np.flatnonzero(told.armed)[0])
     return told.time(first)[rows.start - first : rows.stop - first]
@@ -160,15 +157,8 @@ def log_flight(
     TraceError.
     """
     told = channels(log)
-    trace = log_trace(log, part, told)
-    name = f"log {log.number}"
-    return trace_flight(
-        name,
-        trace,
-        episodes,
-        told.idle if idle is None else idle,
-        told.mix if mix is None else mix,
-    )
+    idle, mix = told.idle if idle is None else idle, told.mix if mix is None else mix
+    return trace_flight(f"log {log.number}", log_trace(log, part, told), episodes, idle, mix)
 
 
 def trace_flight(

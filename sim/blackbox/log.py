@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.blackbox.decoding import EVENTS_MAX, Event, Progress, decode
 from neuroflight.sim.blackbox.encodings import WORD
 from neuroflight.sim.blackbox.firmware import Maker, firmware
@@ -22,7 +23,6 @@ from neuroflight.sim.blackbox.transfer import text_transfer
 from neuroflight.toolchain.contract import LogEvent
 from neuroflight.toolchain.errors import TraceError
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 GLANCE_BYTES = 1 << 16  # some I frames at least
@@ -58,8 +58,12 @@ class Log:
     notes: tuple[str, ...]  # what is wrong with the file, a line each
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(next(iter(self.columns.values()), ()))
+
+    @property
+    def where(self) -> str:
+        """Its file and number, for messages."""
+        return f"{self.path}: log {self.number}"
 
     @property
     def header(self) -> dict[str, str]:
@@ -166,7 +170,7 @@ def words(column: Integers) -> NDArray[np.uint32]:
     return (column % WORD).astype(np.uint32)
 
 
-def floats(column: Integers) -> NDArray[np.float32]:
+def floats(column: Integers) -> Array32:
     """Return numbers that hold the bits of a float32 as such; any shape."""
     return words(column).view(np.float32)
 
@@ -181,7 +185,6 @@ class Listed:
 
     @property
     def size(self) -> int:
-        """Bytes, headers included."""
         return self.extent.end - self.extent.start
 
 

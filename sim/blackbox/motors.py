@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.blackbox.firmware import Firmware, Maker
+from neuroflight.sim.blackbox.headers import FieldDefinition
 from neuroflight.sim.blackbox.log import Log
 from neuroflight.sim.blackbox.scales import header_number
 from neuroflight.sim.control.motors import motor_fractions
 from neuroflight.toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, MOTOR_COUNT_MAX
 
-Array = NDArray[np.float64]
 Words = NDArray[np.uint16]
 
 PULSE_STOP_US, PULSE_FULL_US = 1000.0, 2000.0  # motor values of an analog protocol
@@ -44,9 +45,8 @@ def motors(log: Log, firmware: Firmware) -> Motors:
         return Motors()
     values = values[:, :MOTOR_COUNT_MAX]
     if firmware.maker is Maker.NEUROFLIGHT:
-        return _digital(
-            np.where((values > DSHOT_STOP) & (values < DSHOT_MIN), DSHOT_STOP, values)
-        )  # commands
+        commands = (values > DSHOT_STOP) & (values < DSHOT_MIN)
+        return _digital(np.where(commands, DSHOT_STOP, values))
     if firmware.maker is Maker.ROTORFLIGHT:
         return _analog(values, 0.0, ROTORFLIGHT_FULL, 0.0, ROTORFLIGHT_FULL)
     if note := _lost_base(log):
@@ -86,10 +86,15 @@ def _analog(values: NDArray[np.int64], stop: float, full: float, least: float, m
     return Motors(np.where(possible, fractions, np.nan), dshot.astype(np.uint16), False)
 
 
+def _first(log: Log) -> FieldDefinition | None:
+    """Return the definition of the first motor's field."""
+    return next((one for one in log.headers.fields.get("I", ()) if one.name == "motor[0]"), None)
+
+
 def _lost_base(log: Log) -> str:
     """Return a note on the lost header line that motor values are measured from; "" if none is lost."""
-    field = next((one for one in log.headers.fields.get("I", ()) if one.name == "motor[0]"), None)
-    name = BASE.get(field.predictor, "") if field else ""
+    first = _first(log)
+    name = BASE.get(first.predictor, "") if first else ""
     if not name or header_number({name: log.header.get(name, "").split(",")[0]}, name) is not None:
         return ""
     example = "LOW,HIGH" if name == "motorOutput" else "LOW"
@@ -111,14 +116,10 @@ def _protocol(log: Log, values: NDArray[np.int64]) -> tuple[bool | None, str]:
     output = log.headers.integers("motorOutput")
     if len(output) == 2:
         return output[1] > PULSE_FULL_US, ""
-    protocol = next(
-        (found for one in PROTOCOLS if (found := header_number(log.header, one)) is not None), None
-    )
-    if protocol is not None:
-        return protocol in DIGITAL, ""
-    if any(
-        one.name == "motor[0]" and one.predictor == MINTHROTTLE for one in log.headers.fields.get("I", ())
-    ):
+    for line in PROTOCOLS:
+        if (protocol := header_number(log.header, line)) is not None:
+            return protocol in DIGITAL, ""
+    if (first := _first(log)) is not None and first.predictor == MINTHROTTLE:
         return False, ""  # pulses: there was no other protocol yet
     lost = "no line motorOutput nor motor_pwm_protocol in its headers"
     turning = values[values > 0]

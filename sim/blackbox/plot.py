@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Flags, Indices
 from neuroflight.sim.blackbox.events import words
 from neuroflight.sim.blackbox.log import Log
 from neuroflight.sim.blackbox.units import Channels, channels
@@ -26,8 +27,6 @@ from neuroflight.sim.plotting import (
 from neuroflight.toolchain.contract import AXES
 from neuroflight.toolchain.errors import TraceError
 
-Array = NDArray[np.float64]
-
 POINTS_MAX = 4000  # of a line; longer logs are drawn by the least and largest of each stretch
 BREAKS_MAX = 300  # places where rows are missing, that break a line
 LABELS_MAX = 24  # events that get their name
@@ -40,9 +39,9 @@ EVENT_COLOUR, GAP_COLOUR = "#cc79a7", "#f0e442"
 class _Picture:
     """The part of a log that is drawn."""
 
-    rows: NDArray[np.bool_]  # (N,) of the log
+    rows: Flags  # (N,) of the log
     t: Array  # (K,) [s] of these rows
-    breaks: NDArray[np.intp]  # among these rows, those that others are missing before
+    breaks: Indices  # among these rows, those that others are missing before
 
 
 def draw_log(log: Log, title: str, start_s: float = 0.0, stop_s: float | None = None) -> Figure:
@@ -57,21 +56,16 @@ def draw_log(log: Log, title: str, start_s: float = 0.0, stop_s: float | None = 
     picture = _Picture(shown, t[shown], breaks if len(breaks) < BREAKS_MAX else breaks[:0])
     if not shown.any():
         raise TraceError(
-            f"{log.path}: log {log.number} has no row from {start_s:g} s to "
+            f"{log.where} has no row from {start_s:g} s to "
             f"{'its end' if stop_s is None else f'{stop_s:g} s'}; it is {log.seconds:.3f} s long"
         )
     wanted = _panels(told)
     if not wanted:
-        raise TraceError(f"{log.path}: log {log.number} has no setpoint, gyro, motors or battery to draw")
+        raise TraceError(f"{log.where} has no setpoint, gyro, motors or battery to draw")
     heights = [3.0 if name in AXES else 2.2 if name == "motors" else 1.5 for name in wanted]
     figure = titled_figure((12, 1.2 + 0.95 * sum(heights)), title, (0.06, 0.08))
-    panels: list[Axes] = list(
-        np.ravel(
-            figure.subplots(
-                len(wanted), 1, sharex=True, gridspec_kw={"height_ratios": heights}, squeeze=False
-            )
-        )
-    )
+    grid = figure.subplots(len(wanted), 1, sharex=True, height_ratios=heights, squeeze=False)
+    panels: list[Axes] = list(np.ravel(grid))
     for panel, name in zip(panels, wanted, strict=True):
         if name in AXES:
             _draw_axis(panel, picture, told, AXES.index(name))
@@ -164,7 +158,7 @@ def _draw_battery(panel: Axes, picture: _Picture, told: Channels) -> None:
             panel.plot([], [], color=AXIS_COLOURS[1], lw=1.0, label="A")
 
 
-def _mark(panel: Axes, log: Log, told: Channels, shown: NDArray[np.bool_]) -> None:
+def _mark(panel: Axes, log: Log, told: Channels, shown: Flags) -> None:
     """Shade disarmed and missing rows; draw a line for each event."""
     for start, stop in _runs(~told.armed):
         panel.axvspan(log.t[start], log.t[min(stop, len(log) - 1)], color=SHADE, lw=0, zorder=0)
@@ -175,7 +169,7 @@ def _mark(panel: Axes, log: Log, told: Channels, shown: NDArray[np.bool_]) -> No
         panel.axvline(at, color=EVENT_COLOUR, lw=0.9, ls=":", zorder=2)
 
 
-def _events(log: Log, shown: NDArray[np.bool_]) -> list[tuple[float, str]]:
+def _events(log: Log, shown: Flags) -> list[tuple[float, str]]:
     """Return time and name of each event in the range shown, except the log's end."""
     rows = np.flatnonzero(shown)
     found = []
@@ -186,7 +180,7 @@ def _events(log: Log, shown: NDArray[np.bool_]) -> list[tuple[float, str]]:
     return found
 
 
-def _name_events(panel: Axes, log: Log, shown: NDArray[np.bool_]) -> None:
+def _name_events(panel: Axes, log: Log, shown: Flags) -> None:
     """Write the names of events below the lowest panel's axis, close ones in lines of their own."""
     events = _events(log, shown)
     span = max(1e-9, float(np.ptp(log.t[shown])))
@@ -208,7 +202,7 @@ def _name_events(panel: Axes, log: Log, shown: NDArray[np.bool_]) -> None:
         )
 
 
-def _runs(mask: NDArray[np.bool_]) -> Sequence[tuple[int, int]]:
+def _runs(mask: Flags) -> Sequence[tuple[int, int]]:
     """Return first and one past the last index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]

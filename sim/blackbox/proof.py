@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.blackbox.rates import RatesError, Reading
-
-Array = NDArray[np.float64]
 
 ASKED_DEG_S = 15.0  # smaller commands are not compared: the gyro's noise is as large
 ASKED_ROWS_S = 0.2  # least duration of such commands on an axis
@@ -32,9 +30,7 @@ SAME, SAME_DEG_S = 0.03, 2.0  # readings agree within this part of the commands,
 class Fit:
     """The fit of the gyro to the commands of a reading, over the axes that are commanded to turn."""
 
-    slope: tuple[
-        float | None, float | None, float | None
-    ]  # of the gyro on the command; None: too little asked
+    slope: tuple[float | None, ...]  # of the gyro on each axis' command; None: too little asked
     error: float  # mean of |gyro - command| over the mean of |command|
 
     @property
@@ -49,7 +45,7 @@ class Fit:
         return self.error <= ERROR_MOST and all(SLOPE[0] <= one <= SLOPE[1] for one in slopes)
 
 
-def fit(commands: Array, gyro: Array, rows: NDArray[np.bool_], rate_hz: float) -> Fit:
+def fit(commands: Array, gyro: Array, rows: Flags, rate_hz: float) -> Fit:
     """Fit gyro (N, 3) to commands (N, 3), both [deg/s], on these rows (N,), logged at `rate_hz`."""
     slopes: list[float | None] = []
     left = asked = 0.0
@@ -58,14 +54,14 @@ def fit(commands: Array, gyro: Array, rows: NDArray[np.bool_], rate_hz: float) -
         slopes.append(None if found is None else found[0])
         if found is not None:
             left, asked = left + found[1], asked + found[2]
-    return Fit((slopes[0], slopes[1], slopes[2]), left / asked if asked else 0.0)
+    return Fit(tuple(slopes), left / asked if asked else 0.0)
 
 
 def choose(
     readings: Sequence[Reading],
     sticks: Array,
     gyro: Array | None,
-    rows: NDArray[np.bool_],
+    rows: Flags,
     rate_hz: float,
     *,
     told: bool = False,
@@ -126,9 +122,7 @@ def _differ(one: Reading, other: Reading, sticks: Array) -> bool:
     return bool(apart > max(SAME_DEG_S, SAME * np.abs(commands).max(initial=0.0)))
 
 
-def _axis(
-    command: Array, gyro: Array, rows: NDArray[np.bool_], rate_hz: float
-) -> tuple[float, float, float] | None:
+def _axis(command: Array, gyro: Array, rows: Flags, rate_hz: float) -> tuple[float, float, float] | None:
     """Return slope, sum of |gyro - command| and sum of |command| at the best lag; None: too few commands."""
     best: tuple[float, float, float] | None = None
     for lag in sorted({round(part * LAG_MAX_S * rate_hz / (LAGS - 1)) for part in range(LAGS)}):

@@ -18,6 +18,7 @@ GYRO_FULL_DEG_S = 2000.0  # of the chip's range (sim.physics.imu)
 NEAR_FULL = 0.995  # of it, that is taken for saturated
 FULL = 0.999  # motor fraction that is taken for full power
 STATE = "nf_state_000"  # header that begins the state of the control path
+REPLAYABLE = "state, raw counts, receiver and edges of each control step"
 PER_PERIOD = 10.0  # samples of a period needed to see a shape, not only a spectrum
 JITTER = 0.02  # of the time between two rows, its standard deviation, above which a spectrum is blurred
 
@@ -28,6 +29,9 @@ class Answer(Enum):
     YES = "yes"
     PARTLY = "partly"
     NO = "no"
+
+
+Finding = tuple[Answer, str]  # and why
 
 
 @dataclass(frozen=True)
@@ -97,104 +101,81 @@ def replay_obstacles(log: Log) -> list[str]:
 
 
 def _questions(log: Log, told: Channels) -> list[Question]:
-    ours = log.maker is Maker.NEUROFLIGHT
-    return [
-        _tracking(log, told),
-        _exact(log, told),
-        _effort(told, ours=ours),
-        _rotors(log, told),
-        _spectrum(log),
-        _one(
-            "what the gyro's filters do",
-            told.gyro_unfiltered is not None,
-            "gyroUnfilt beside gyroADC",
-            "no gyroUnfilt[0..2]"
-            + (" (Betaflight before 4.4 logs it by debug_mode only)" if not ours else ""),
+    ours, attitude = log.maker is Maker.NEUROFLIGHT, log.matrix("imuQuaternion", 3)
+    timed, timing = "controlTime" in log.columns, f"no controlTime{' (group TIMING)' if ours else ''}"
+    obstacles = replay_obstacles(log)
+    unfiltered = f"no gyroUnfilt[0..2]{'' if ours else ' (Betaflight before 4.4 logs it by debug_mode only)'}"
+    found = {
+        "tracking and step responses": _tracking(log, told),
+        "figures to the bit": _exact(log, told),
+        "effort and smoothness of the motors": _effort(told, ours=ours),
+        "speeds of the rotors": _rotors(log, told),
+        "vibration": _spectrum(log),
+        "what the gyro's filters do": _one(
+            told.gyro_unfiltered is not None, "gyroUnfilt beside gyroADC", unfiltered
         ),
-        _one("battery", told.voltage is not None, "voltage", "no voltage whose unit the log tells"),
-        _one(
-            "attitude",
-            log.matrix("imuQuaternion", 3) is not None,
-            "imuQuaternion[0..2]",
-            "no imuQuaternion[0..2]",
-        ),
-        _one("forces", told.acceleration is not None, "accSmooth in g", "no accSmooth[0..2] with acc_1G"),
-        _inside(log),
-        _one(
-            "time that the control task takes",
-            "controlTime" in log.columns,
-            "controlTime in cycles",
-            "no controlTime" + (" (group TIMING)" if ours else ""),
-        ),
-        _replay(log),
-    ]
+        "battery": _one(told.voltage is not None, "voltage", "no voltage whose unit the log tells"),
+        "attitude": _one(attitude is not None, "imuQuaternion[0..2]", "no imuQuaternion[0..2]"),
+        "forces": _one(told.acceleration is not None, "accSmooth in g", "no accSmooth[0..2] with acc_1G"),
+        "inside of the controller": _inside(log),
+        "time that the control task takes": _one(timed, "controlTime in cycles", timing),
+        "replay": _one(not obstacles, REPLAYABLE, "; ".join(obstacles)),
+    }
+    return [Question(name, *finding) for name, finding in found.items()]
 
 
-def _one(name: str, there: bool, yes: str, no: str) -> Question:
-    return Question(name, Answer.YES if there else Answer.NO, yes if there else no)
+def _one(there: bool, yes: str, no: str) -> Finding:
+    return (Answer.YES, yes) if there else (Answer.NO, no)
 
 
-def _tracking(log: Log, told: Channels) -> Question:
+def _tracking(log: Log, told: Channels) -> Finding:
     lacking = [] if told.setpoint is not None else [told.pilot.lacks]
     if told.gyro is None:
         lacking.append(GYRO_LOST if log.matrix("gyroADC", 3) is not None else "no gyroADC[0..2]")
     if lacking:
-        return Question("tracking and step responses", Answer.NO, "; ".join(lacking))
+        return Answer.NO, "; ".join(lacking)
     if told.pilot.note:
-        return Question("tracking and step responses", Answer.PARTLY, told.pilot.note)
+        return Answer.PARTLY, told.pilot.note
     if log.lost:
-        return Question(
-            "tracking and step responses",
-            Answer.PARTLY,
-            f"setpoint and gyro, but {log.lost} of {len(log) + log.lost} rows are lost: figures are those "
-            "of the rest, taken as evenly spaced",
-        )
-    return Question(
-        "tracking and step responses", Answer.YES, "setpoint and gyro; the true rate is in no log"
-    )
+        lost = f"{log.lost} of {len(log) + log.lost} rows are lost"
+        words = f"setpoint and gyro, but {lost}: figures are those of the rest, taken as evenly spaced"
+        return Answer.PARTLY, words
+    return Answer.YES, "setpoint and gyro; the true rate is in no log"
 
 
-def _exact(log: Log, told: Channels) -> Question:
-    name = "figures to the bit"
+def _exact(log: Log, told: Channels) -> Finding:
     if told.exact:
-        return Question(name, Answer.YES, "float32 values as the controller had them")
+        return Answer.YES, "float32 values as the controller had them"
     step = 0.1 if log.headers.integer("blackbox_high_resolution", 0) else 1.0
-    ours = log.maker is Maker.NEUROFLIGHT
-    mend = " (group EXACT)" if ours else ""
-    return Question(name, Answer.NO, f"setpoint and gyro are rounded to {step:g} deg/s{mend}")
+    mend = " (group EXACT)" if log.maker is Maker.NEUROFLIGHT else ""
+    return Answer.NO, f"setpoint and gyro are rounded to {step:g} deg/s{mend}"
 
 
-def _effort(told: Channels, *, ours: bool) -> Question:
-    name = "effort and smoothness of the motors"
+def _effort(told: Channels, *, ours: bool) -> Finding:
     if told.motors is None:
-        return Question(name, Answer.NO, told.motors_note or "no motor[0..]")
+        return Answer.NO, told.motors_note or "no motor[0..]"
     if not ours:
-        return Question(
-            name,
-            Answer.PARTLY,
-            "of the motors' whole command: how its mixer laid the throttle on top is not known",
-        )
+        words = "of the motors' whole command: how its mixer laid the throttle on top is not known"
+        return Answer.PARTLY, words
     if told.idle is None:
-        return Question(name, Answer.PARTLY, "no nf_idle in the headers: give --idle")
-    return Question(name, Answer.YES, f"motor[0..], idle {told.idle:g}")
+        return Answer.PARTLY, "no nf_idle in the headers: give --idle"
+    return Answer.YES, f"motor[0..], idle {told.idle:g}"
 
 
-def _rotors(log: Log, told: Channels) -> Question:
-    name = "speeds of the rotors"
+def _rotors(log: Log, told: Channels) -> Finding:
     if told.rpm is not None:
         poles = log.header["motor_poles"]
-        return Question(name, Answer.YES, f"eRPM with {poles} poles, up to {told.rpm.max():,.0f} rpm")
+        return Answer.YES, f"eRPM with {poles} poles, up to {told.rpm.max():,.0f} rpm"
     if log.matrix("eRPM") is None:
-        return Question(name, Answer.NO, "no eRPM[0..] (bidirectional DShot)")
-    return Question(
-        name, Answer.NO, "eRPM without motor_poles: add --header motor_poles=N, the motor's magnets"
-    )
+        return Answer.NO, "no eRPM[0..] (bidirectional DShot)"
+    words = "eRPM without motor_poles: add --header motor_poles=N, the motor's magnets"
+    return Answer.NO, words
 
 
-def _spectrum(log: Log) -> Question:
+def _spectrum(log: Log) -> Finding:
     rate, control = log.rate_hz, control_rate_hz(log)
     if not rate:
-        return Question("vibration", Answer.NO, "too few rows")
+        return Answer.NO, "too few rows"
     words = (
         f"{rate:,.0f} rows a second: spectra up to {rate / 2:,.0f} Hz, shapes up to "
         f"{rate / PER_PERIOD:,.0f} Hz"
@@ -204,28 +185,20 @@ def _spectrum(log: Log) -> Question:
             f"; one control step of {log.stride} is logged, without a filter: what lies between "
             f"{rate / 2:,.0f} and {control / 2:,.0f} Hz appears below that"
         )
-        return Question("vibration", Answer.PARTLY, words)
-    return Question("vibration", Answer.YES, words)
+        return Answer.PARTLY, words
+    return Answer.YES, words
 
 
-def _inside(log: Log) -> Question:
-    name = "inside of the controller"
+def _inside(log: Log) -> Finding:
     if log.maker is Maker.NEUROFLIGHT:
         told = sum(1 for header in log.header if header.startswith("nf_debug_"))
         return _one(
-            name,
             told > 0 and log.matrix("debug") is not None,
             f"action and observation in debug[0..], {told} of them told by nf_debug_",
             "no debug[0..] (group DEBUG)",
         )
     terms = [one for one in ("axisP", "axisI", "axisD", "axisF") if f"{one}[0]" in log.columns]
-    return _one(name, bool(terms), f"terms {', '.join(terms)}", "no axisP, axisI, axisD")
-
-
-def _replay(log: Log) -> Question:
-    obstacles = replay_obstacles(log)
-    why = "; ".join(obstacles) or "state, raw counts, receiver and edges of each control step"
-    return Question("replay", Answer.NO if obstacles else Answer.YES, why)
+    return _one(bool(terms), f"terms {', '.join(terms)}", "no axisP, axisI, axisD")
 
 
 def _saturated(told: Channels, rows: np.ndarray) -> tuple[float, float, float]:

@@ -14,20 +14,15 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.blackbox.firmware import Firmware, Maker
 from neuroflight.sim.blackbox.scales import gyro_count
-
-Array = NDArray[np.float64]
 
 FULL = 500.0  # rcCommand at full stick
 LIMIT_DEG_S = 1998.0  # of Betaflight's setpoint, where no rate_limits are told
 SUPER_ROOM = 0.01  # least divisor that a super rate leaves at full stick
-RC_RATE_KNEE, RC_RATE_STEEP = (
-    200.0,
-    15.54,
-)  # hundredths, above which Betaflight's RC rate counts so many times
+RC_RATE_KNEE, RC_RATE_STEEP = 200.0, 15.54  # hundredths; beyond them an RC rate counts so many times
 MULTIWII_LSB = 4.0  # gyro counts of one step of the old controllers' rate
 SUPEREXPO = 1 << 23  # in the header line features
 SETTINGS = "rates_type, rc_rates, rc_expo and rates"  # header lines that define rates
@@ -42,6 +37,13 @@ class Style(IntEnum):
     ACTUAL = 3
     QUICK = 4
     ROTORFLIGHT = 5
+
+
+# Of each firmware: before which version it had how many styles, the first ones.
+_STYLES = {
+    Maker.BETAFLIGHT: (((3, 3), 1), ((4,), 2), ((4, 2), 3)),
+    Maker.CLEANFLIGHT: (((2, 3), 1), ((4,), 2)),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,9 +184,8 @@ def _multiwii(header: Mapping[str, str], firmware: Firmware) -> tuple[Reading, .
     MultiWii's are in counts of the gyro. Cleanflight does not log `rates`: the user gives them.
     """
     roll, pitch, yaw = _axes(header, ("rates",))
-    lux = _linear(
-        "LuxFloat's rates", "pidController=2", ((roll + 20) / 50, (pitch + 20) / 50, (yaw + 10) / 50)
-    )
+    floats = ((roll + 20) / 50, (pitch + 20) / 50, (yaw + 10) / 50)
+    lux = _linear("LuxFloat's rates", "pidController=2", floats)
     step = MULTIWII_LSB * _count_deg_s(header, firmware) / 16
     slopes = ((roll + 27) * step, (pitch + 27) * step)
     whole = _linear("MultiWii's rates", "pidController=1", (*slopes, (yaw + 27) * step / 2))
@@ -216,23 +217,19 @@ def _betaflight_2(header: Mapping[str, str], firmware: Firmware) -> tuple[Readin
 def _styles(firmware: Firmware) -> tuple[Style, ...]:
     """Return the possible styles of a firmware that does not log which style is chosen."""
     maker, version = firmware.maker, firmware.version
-    if version:
-        if maker is Maker.BETAFLIGHT and version < (3, 3):
-            return (Style.BETAFLIGHT,)
-        if maker is Maker.CLEANFLIGHT and version < (2, 3):
-            return (Style.BETAFLIGHT,)
-        if (maker is Maker.BETAFLIGHT and version < (4,)) or (maker is Maker.CLEANFLIGHT and version < (4,)):
-            return (Style.BETAFLIGHT, Style.RACEFLIGHT)
-        if maker is Maker.BETAFLIGHT and version < (4, 2):
-            return (Style.BETAFLIGHT, Style.RACEFLIGHT, Style.KISS)
-    if maker is Maker.EMUFLIGHT:
-        return (Style.BETAFLIGHT, Style.RACEFLIGHT, Style.KISS, Style.ACTUAL)
+    for before, count in _STYLES.get(maker, ()) if version else ():
+        if version < before:
+            return tuple(Style)[:count]
+    return _known(maker)[:4] if maker is Maker.EMUFLIGHT else _known(maker)
+
+
+def _known(maker: Maker) -> tuple[Style, ...]:
+    """Return all styles of a firmware's latest versions."""
     return tuple(one for one in Style if maker is Maker.ROTORFLIGHT or one is not Style.ROTORFLIGHT)
 
 
 def _style(header: Mapping[str, str], maker: Maker) -> Style:
-    number = _numbers(header["rates_type"])
-    known = [one for one in Style if maker is Maker.ROTORFLIGHT or one is not Style.ROTORFLIGHT]
+    number, known = _numbers(header["rates_type"]), _known(maker)
     if number is None or len(number) != 1 or number[0] not in known:
         raise RatesError(f"rates_type is {header['rates_type'][:20]!r}, expected 0 to {known[-1]}")
     return Style(int(number[0]))

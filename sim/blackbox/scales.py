@@ -13,9 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.blackbox.firmware import Firmware, Maker
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[np.int64]]
 
 BASEFLIGHT_SCALE = 1e-5  # a gyro_scale below it is in rad/us, as Baseflight had it; others are in deg/s
@@ -23,6 +23,7 @@ ADC_FULL, ADC_VOLTS = 4095.0, 3.3
 CELL_LEAST_V = 2.5  # least voltage of a cell in flight
 ERPM = 100.0  # electrical revolutions a minute in one count of eRPM
 WORD = 1 << 32
+_HUNDREDTHS = {Maker.INAV: ("vbat", "amperage"), Maker.ROTORFLIGHT: ("Vbat", "Ibat")}  # of a volt, an ampere
 
 
 def header_number(header: Mapping[str, str], name: str) -> float | None:
@@ -52,29 +53,21 @@ def gyro_count(header: Mapping[str, str], firmware: Firmware) -> float | None:
         scale = header_number(header, name)
         if scale is not None and scale > 0:
             return scale * 1e6 if scale < BASEFLIGHT_SCALE else float(np.deg2rad(scale))
-    in_deg_s = (
-        firmware.since(Maker.BETAFLIGHT, 3, 1)
-        or firmware.since(Maker.CLEANFLIGHT, 2)
-        or firmware.maker in (Maker.NEUROFLIGHT, Maker.INAV, Maker.EMUFLIGHT, Maker.ROTORFLIGHT)
-    )
+    makers = (Maker.NEUROFLIGHT, Maker.INAV, Maker.ROTORFLIGHT)
+    in_deg_s = _is_converted(firmware) or firmware.maker in makers
     return float(np.deg2rad(1.0)) if in_deg_s else None
 
 
 def voltage(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> Array | None:
     """Return the battery's voltage (N,) [V]; None if it is not logged or its unit is unknown."""
-    maker = firmware.maker
-    if maker in (Maker.INAV, Maker.ROTORFLIGHT):
-        counts = columns.get("vbat" if maker is Maker.INAV else "Vbat")
-        if counts is not None:
-            return counts / 100.0
+    counts = columns.get(_HUNDREDTHS.get(firmware.maker, ("", ""))[0])
+    if counts is not None:
+        return counts / 100.0
     counts = columns.get("vbatLatest")
     if counts is None:
         return None
-    if (
-        maker is Maker.NEUROFLIGHT
-        or firmware.since(Maker.BETAFLIGHT, 4)
-        or firmware.since(Maker.CLEANFLIGHT, 4)
-    ):
+    fine_since = firmware.since(Maker.BETAFLIGHT, 4) or firmware.since(Maker.CLEANFLIGHT, 4)
+    if firmware.maker is Maker.NEUROFLIGHT or fine_since:
         return counts / 100.0
     if _is_converted(firmware):
         return counts / 10.0
@@ -91,15 +84,13 @@ def voltage(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> 
 
 def current(columns: Columns, header: Mapping[str, str], firmware: Firmware) -> Array | None:
     """Return the battery's current (N,) [A]; None if it is not logged or its unit is unknown."""
-    maker = firmware.maker
-    if maker in (Maker.INAV, Maker.ROTORFLIGHT):
-        counts = columns.get("amperage" if maker is Maker.INAV else "Ibat")
-        if counts is not None:
-            return counts / 100.0
+    counts = columns.get(_HUNDREDTHS.get(firmware.maker, ("", ""))[1])
+    if counts is not None:
+        return counts / 100.0
     counts = columns.get("amperageLatest")
     if counts is None:
         return None
-    if maker is Maker.NEUROFLIGHT or firmware.since(Maker.BETAFLIGHT, 4) or _is_converted(firmware):
+    if firmware.maker is Maker.NEUROFLIGHT or _is_converted(firmware):
         return counts / 100.0
     try:
         offset_mv, scale = (float(part) for part in header.get("currentMeter", "").split(","))

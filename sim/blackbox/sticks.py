@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.blackbox.firmware import Firmware, Maker, has_box_mask, has_mapped_throttle
 from neuroflight.sim.blackbox.headers import DEFAULTS
 from neuroflight.sim.blackbox.log import Log
@@ -21,9 +22,6 @@ from neuroflight.sim.blackbox.rates import SETTINGS, RatesError, readings
 from neuroflight.sim.blackbox.scales import fine, header_number
 from neuroflight.toolchain.contract import AXES, CHANNEL_MAX_US, CHANNEL_MIN_US
 from neuroflight.toolchain.errors import TraceError
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 RATE_MOST_DEG_S = 2000.0  # no firmware commands more: Betaflight's settings end at 1998
 SLACK = 0.115  # of a stick beyond its ends: receivers give, and Betaflight takes, pulses of 885 to 2115 us
@@ -41,12 +39,12 @@ class Pilot:
     rates: Array | None = None  # (N, 3) [deg/s]; NaN where the stick commanded an angle
     throttle: Array | None = None  # (N,) of full thrust, beyond 0..1 where the log's number is no stick's
     source: str = ""  # the field that rates come from
-    level: Rows | None = None  # (N,) whether ANGLE or HORIZON mode is on: the stick commands an angle
+    level: Flags | None = None  # (N,) whether ANGLE or HORIZON mode is on: the stick commands an angle
     note: str = ""  # for the user, on how they were read
     lacks: str = ""  # why there are none, and what the user can do
 
 
-def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Rows) -> Pilot:
+def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Flags) -> Pilot:
     """Read the commands of the sticks; gyro (N, 3) [deg/s], armed (N,)."""
     parts, level = fine(log.header), _level(log, firmware)
     throttle = _throttle(log, firmware, parts)
@@ -61,10 +59,8 @@ def pilot(log: Log, firmware: Firmware, gyro: Array | None, armed: Rows) -> Pilo
         return Pilot(target.astype(np.float64), throttle, "axisRate[0..2]", level)
     sticks = log.matrix("rcCommand", 3)
     if sticks is None:
-        return Pilot(
-            throttle=throttle,
-            lacks="neither setpoint nor rcCommand: log one of them (blackbox_disabled_mask)",
-        )
+        lacks = "neither setpoint nor rcCommand: log one of them (blackbox_disabled_mask)"
+        return Pilot(throttle=throttle, lacks=lacks)
     if level.any() and not (armed & ~level).any():
         return Pilot(np.full(sticks.shape, np.nan), throttle, "rcCommand, an angle", level)
     steady = armed & ~level
@@ -100,12 +96,12 @@ def _throttle(log: Log, firmware: Firmware, parts: float) -> Array | None:
     return np.where(is_stick(raw), np.clip((us - low) / (high - low), 0.0, 1.0), raw)
 
 
-def is_stick(throttle: Array) -> Rows:
+def is_stick(throttle: Array) -> Flags:
     """Return for each throttle whether a stick can give it; a little beyond either end still counts."""
     return np.asarray((throttle >= -SLACK) & (throttle <= 1.0 + SLACK))
 
 
-def beyond(rates: Array, most_deg_s: float = RATE_MOST_DEG_S) -> Rows:
+def beyond(rates: Array, most_deg_s: float = RATE_MOST_DEG_S) -> Flags:
     """Return for each row of rates (N, 3) [deg/s] whether one exceeds `most_deg_s`."""
     return np.asarray((np.abs(rates) > most_deg_s + ROUNDED_DEG_S).any(axis=1))
 
@@ -118,20 +114,25 @@ def _ends(throttle: Array) -> Array:
 def throttle_range(header: Mapping[str, str], firmware: Firmware) -> tuple[float, float]:
     """Return rcCommand[3] [us] at zero and at full stick."""
     if has_mapped_throttle(firmware):
-        low = header_number(header, "minthrottle")
-        high = header_number(header, "maxthrottle")
-        low = DEFAULTS["minthrottle"] if low is None else low  # from which its numbers were counted, too
-        high = CHANNEL_MAX_US if high is None else high
+        told = {"minthrottle": DEFAULTS["minthrottle"], "maxthrottle": CHANNEL_MAX_US}
+        low, high = (
+            default if (number := header_number(header, name)) is None else number
+            for name, default in told.items()
+        )
         if CHANNEL_MIN_US <= low < high:
             return float(low), float(high)
     return float(CHANNEL_MIN_US), float(CHANNEL_MAX_US)
 
 
-def _level(log: Log, firmware: Firmware) -> Rows:
-    """Return for each row (N,) whether the stick commands an angle, in ANGLE or HORIZON mode."""
+def mode_flags(log: Log) -> NDArray[np.int64] | None:
+    """Return the flags of modes in each row (N,); None if they are not logged."""
     flags = log.held("flightModeFlags")
-    if flags is None:
-        flags = log.held("rcModeFlags")  # INAV's since 8
+    return log.held("rcModeFlags") if flags is None else flags  # INAV's since 8
+
+
+def _level(log: Log, firmware: Firmware) -> Flags:
+    """Return for each row (N,) whether the stick commands an angle, in ANGLE or HORIZON mode."""
+    flags = mode_flags(log)
     if flags is None:
         return np.zeros(len(log), bool)
     return np.asarray((flags & (ANGLE_BITS if has_box_mask(firmware) else ANGLE_FLAGS)) != 0)
@@ -150,7 +151,7 @@ def check(
     where: names the log; rates (N, 3) [deg/s], throttle and seconds (N,): of rows from first_row on;
     most_deg_s: rate that is still a command.
     """
-    angle: Rows = np.asarray(np.isnan(rates).any(axis=1))
+    angle: Flags = np.asarray(np.isnan(rates).any(axis=1))
     if angle.any():
         raise TraceError(
             f"{where}: {_spans(angle, seconds)} the stick commands an angle (ANGLE or HORIZON mode), "
@@ -171,20 +172,20 @@ def check(
         )
 
 
-def _named(bad: Rows, first_row: int, seconds: Array) -> str:
+def _named(bad: Flags, first_row: int, seconds: Array) -> str:
     """Describe where the first such row is, and how many more there are."""
     row = int(bad.argmax())
     more = f" and {int(bad.sum()) - 1} more" if bad.sum() > 1 else ""
     return f"in row {first_row + row} ({seconds[row]:.3f} s){more}"
 
 
-def _spans(bad: Rows, seconds: Array) -> str:
+def _spans(bad: Flags, seconds: Array) -> str:
     """Describe the first three time spans in which a condition holds."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], bad, [False])).astype(np.int8))).reshape(-1, 2)
     words = [f"{seconds[start]:.2f} to {seconds[stop - 1]:.2f} s" for start, stop in edges[:3]]
     return f"from {', '.join(words)}{' and later' if len(edges) > 3 else ''}"
 
 
-def _mend(bad: Rows) -> str:
+def _mend(bad: Flags) -> str:
     """Return advice to leave such rows out, if there are others."""
     return "" if bad.all() else "; leave them out by --from and --to"

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Array32, Flags
 from neuroflight.sim.blackbox.firmware import Firmware, Maker, firmware, has_box_mask
 from neuroflight.sim.blackbox.log import Log, floats
 from neuroflight.sim.blackbox.motors import motor_idle, motors
 from neuroflight.sim.blackbox.scales import current, fine, gyro_count, header_number, rotor_rpm, voltage
-from neuroflight.sim.blackbox.sticks import Pilot, pilot
+from neuroflight.sim.blackbox.sticks import Pilot, mode_flags, pilot
 from neuroflight.toolchain.contract import DSHOT_STOP, GRAVITY, MOTOR_COUNT_MAX, Mix
-
-Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
 
 PID_BIT = 1  # of our slow field nfFlags: the PID flies
 ARM_BIT = 1  # in flightModeFlags, where its bits are boxes
@@ -31,13 +29,13 @@ class Channels:
     """N rows of a flight with M motors; None: the log does not have it."""
 
     clock_us: NDArray[np.int64]  # (N,) the log's own clock
-    armed: NDArray[np.bool_]  # (N,)
+    armed: Flags  # (N,)
     exact: bool  # setpoint, gyro and throttle are the bits that the controller had
     pilot: Pilot  # commands in the log's units, and the field they come from
-    setpoint: Floats | None  # (N, 3) [rad/s]; NaN where the stick commanded an angle
-    gyro: Floats | None  # (N, 3) [rad/s], filtered
-    gyro_unfiltered: Floats | None  # (N, 3) [rad/s]
-    throttle: Floats | None  # (N,) the pilot's thrust, 0..1; beyond where the log's number is no stick's
+    setpoint: Array32 | None  # (N, 3) [rad/s]; NaN where the stick commanded an angle
+    gyro: Array32 | None  # (N, 3) [rad/s], filtered
+    gyro_unfiltered: Array32 | None  # (N, 3) [rad/s]
+    throttle: Array32 | None  # (N,) the pilot's thrust, 0..1; beyond where the log's number is no stick's
     motors: Array | None  # (N, M) fractions 0..1 as an ESC decodes them; NaN where a value is no motor's
     dshot: NDArray[np.uint16] | None  # (N, M) DShot values; of an analog protocol those that mean the same
     digital: bool  # the motors' protocol has such values
@@ -63,14 +61,13 @@ def channels(log: Log) -> Channels:
     erpm = log.matrix("eRPM")
     armed = _armed(log, told, turned.dshot)
     exact = _exact(log)
-    gyro: Floats | None
-    setpoint: Floats | None
-    throttle: Floats | None
+    gyro: Array32 | None
+    setpoint: Array32 | None
+    throttle: Array32 | None
     if exact is not None:
         gyro, setpoint, throttle = exact
-        asked = Pilot(
-            np.rad2deg(setpoint.astype(np.float64)), throttle.astype(np.float64), "setpointFloat[0..3]"
-        )
+        rates = np.rad2deg(setpoint.astype(np.float64))
+        asked = Pilot(rates, throttle.astype(np.float64), "setpointFloat[0..3]")
     else:
         gyro = _rates(log, "gyroADC", count, parts)
         asked = pilot(log, told, None if gyro is None else np.rad2deg(gyro.astype(np.float64)), armed)
@@ -106,7 +103,7 @@ def control_rate_hz(log: Log) -> float:
     return log.rate_hz * log.stride
 
 
-def _exact(log: Log) -> tuple[Floats, Floats, Floats] | None:
+def _exact(log: Log) -> tuple[Array32, Array32, Array32] | None:
     """Return gyro, setpoint and throttle with the bits our controller had; None if these are not logged."""
     gyro, setpoint = log.matrix("gyroFloat", 3), log.matrix("setpointFloat", 4)
     if log.maker is not Maker.NEUROFLIGHT or gyro is None or setpoint is None:
@@ -115,7 +112,7 @@ def _exact(log: Log) -> tuple[Floats, Floats, Floats] | None:
     return floats(gyro), np.ascontiguousarray(wanted[:, :3]), np.ascontiguousarray(wanted[:, 3])
 
 
-def _rates(log: Log, name: str, count: float | None, parts: float) -> Floats | None:
+def _rates(log: Log, name: str, count: float | None, parts: float) -> Array32 | None:
     """Return a gyro's field [rad/s]; count: rad/s of one gyro count, parts: logged steps per count."""
     values = log.matrix(name, 3)
     if values is None and name == "gyroADC":
@@ -123,29 +120,27 @@ def _rates(log: Log, name: str, count: float | None, parts: float) -> Floats | N
     return None if values is None or count is None else (values * (count / parts)).astype(np.float32)
 
 
-def _armed(log: Log, told: Firmware, dshot: NDArray[np.uint16] | None) -> NDArray[np.bool_]:
+def _armed(log: Log, told: Firmware, dshot: NDArray[np.uint16] | None) -> Flags:
     """Return for each row whether motors are armed: by motor values, else by the boxes, else True for all.
 
     Firmware whose logs have neither logs only while the motors are armed.
     """
     if told.maker is Maker.NEUROFLIGHT and dshot is not None:
         return np.asarray((dshot > DSHOT_STOP).all(axis=1))
-    flags = log.held("flightModeFlags")
-    if flags is None:
-        flags = log.held("rcModeFlags")  # INAV's since 8
+    flags = mode_flags(log)
     if flags is None or not has_box_mask(told):
         return np.ones(len(log), bool)
     return np.asarray((flags & ARM_BIT) != 0)
 
 
-def _idle(log: Log, armed: NDArray[np.bool_]) -> float | None:
+def _idle(log: Log, armed: Flags) -> float | None:
     """Return the idle of the controller that flew for longer; our header gives the policy's and the PID's."""
     if log.maker is Maker.NEUROFLIGHT:
         return _part(_controllers(log, "nf_idle", armed))
     return motor_idle(log)
 
 
-def _mix(log: Log, armed: NDArray[np.bool_]) -> Mix | None:
+def _mix(log: Log, armed: Flags) -> Mix | None:
     """Return the mix of the controller that flew for longer; old logs know only one mix."""
     if log.maker is not Maker.NEUROFLIGHT:
         return None
@@ -153,7 +148,7 @@ def _mix(log: Log, armed: NDArray[np.bool_]) -> Mix | None:
     return {"": Mix.ATTITUDE_FIRST, **{mix.text: mix for mix in Mix}}.get(told)
 
 
-def _controllers(log: Log, name: str, armed: NDArray[np.bool_]) -> str:
+def _controllers(log: Log, name: str, armed: Flags) -> str:
     """Return, of a header "policy's,PID's", the text of the controller that flew for longer."""
     told = log.header.get(name, "").split(",")
     flags = log.held("nfFlags")

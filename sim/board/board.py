@@ -6,22 +6,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.context import TIME_HZ, Kept
 from neuroflight.sim.board.core.engine import CPI, Engine, Note
 from neuroflight.sim.board.devices.esc import SILENT_S, Esc, Frame
 from neuroflight.sim.board.devices.gyro_chip import ICM20602, READY, GyroChip, GyroKind
 from neuroflight.sim.board.devices.sd_card import CardSlot, SdCard
 from neuroflight.sim.board.inspection import Inspection
 from neuroflight.sim.board.matekf722 import MOTORS
-from neuroflight.sim.board.native.library import Native, native_library
+from neuroflight.sim.board.native.library import Native, NativeDevice, native_library
 from neuroflight.sim.board.peripherals.adc import Adc, AdcCommon
 from neuroflight.sim.board.peripherals.dma import DmaSystem
-from neuroflight.sim.board.peripherals.exti import Exti, Syscfg
 from neuroflight.sim.board.peripherals.flash import Flash
 from neuroflight.sim.board.peripherals.gpio import Pins
 from neuroflight.sim.board.peripherals.iwdg import Iwdg
@@ -31,11 +30,13 @@ from neuroflight.sim.board.peripherals.rcc import MICROSECOND, Clocks, Rcc
 from neuroflight.sim.board.peripherals.spi import GyroSpi, Spi
 from neuroflight.sim.board.peripherals.timer import TIMERS, Timer
 from neuroflight.sim.board.peripherals.usart import Usart
-from neuroflight.sim.board.registers.bus import Companion, Device, Registers, Touch, load_table
+from neuroflight.sim.board.registers.bus import Device, Registers, Touch, load_table
 from neuroflight.sim.board.rom.boot_loader import BootLoader
 from neuroflight.toolchain.contract import DSHOT_MIN
 from neuroflight.toolchain.image.bank_state import proven
 
+# In C's order; lines share some of them (RM0431, vector table).
+EXTI_INTERRUPTS = (*(f"EXTI{i}" for i in range(5)), "EXTI9_5", "EXTI15_10", "PVD")
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
 SILENT = round(SILENT_S * TIME_HZ)  # of an ESC [cycles]
@@ -59,47 +60,48 @@ class Hardware:
 
         watchdog_resets: a missed watchdog resets the chip, as on the board; otherwise it is an error.
         """
-        self.context = context = engine
+        self.engine = engine
         self.native = native = Native(engine)
-        self.rcc, self.pwr = Rcc(context), Pwr(context)
-        self.flash = Flash(context, options, seed)
+        self.rcc, self.pwr = Rcc(engine), Pwr(engine)
+        self.flash = Flash(engine, options, seed)
         self.pins = Pins(native)
-        self.syscfg, self.exti = Syscfg(native), Exti(native)
+        lib, interrupt = native.library, load_table().interrupt
+        self.syscfg = NativeDevice(native, "SYSCFG", lib.SYSCFG)
+        self.exti = NativeDevice(native, "EXTI", lib.EXTI, interrupts=tuple(map(interrupt, EXTI_INTERRUPTS)))
         self.dma = DmaSystem(native)
         self.gyro = GyroChip(native, self.pins, chip)
-        self.spi = GyroSpi(native, self.pins, self.gyro, seed)
+        self.spi = GyroSpi(native, self.pins, seed)
         self.card_spi = Spi(native, "SPI3", self.pins)
         self.card_slot = CardSlot(native, self.pins, card)
         self.timers = {name: Timer(native, name, self.dma, self.pins) for name in TIMERS}
         self.usarts = {
-            name: Usart(context, name, self.dma, self.pins, self.rcc.kernel_clock) for name in USARTS
+            name: Usart(engine, name, self.dma, self.pins, self.rcc.kernel_clock) for name in USARTS
         }
-        self.adc_common = AdcCommon(context)
-        self.adc = Adc(context, self.adc_common, self.dma, self.pins)
+        self.adc_common = AdcCommon(engine)
+        self.adc = Adc(engine, self.adc_common, self.dma, self.pins)
         self.iwdg = Iwdg(native)
         self.rom = BootLoader(engine, self.rcc, self.flash, self.usarts["USART1"], self.iwdg)
-        self.inspection = Inspection(context, self.dma, self.exti, int(READY[2:]))
+        self.inspection = Inspection(engine, self.dma, self.exti, int(READY[2:]))
         self.escs = tuple(self._wire_esc(motor, *line) for motor, line in enumerate(MOTORS))
-        self._hears_frame: Callable[[Frame], None] = lambda frame: None
         self._heard: Any = None  # uint16_t[]: what `_obeyed` was made of
         self._obeyed: NDArray[np.uint16] = np.empty(0, np.uint16)
-        self.registers = Registers(context)
+        self.registers = Registers(engine)
         for device in self._devices():
             self.registers.add(device)
-        companions: tuple[Companion, ...] = (self.gyro, self.inspection, *self.escs, native)
+        companions: tuple[Kept, ...] = (self.gyro, self.inspection, *self.escs, native)
         for companion in companions:
             self.registers.accompany(self.spi, companion)
         self.registers.accompany(self.card_spi, self.card_slot)
         self.registers.accompany(self.usarts["USART1"], self.rom)
         self.registers.attach(engine)
         edge = f"EXTI{int(READY[2:])}"
-        irq, name = load_table().interrupt(edge), f"the gyro's data-ready edge ({edge})"
-        engine.bound_entry(irq, ENTRY_BOUND, name, urgent=True)
+        name = f"the gyro's data-ready edge ({edge})"
+        engine.bound_entry(interrupt(edge), ENTRY_BOUND, name, urgent=True)
         native.place(self.registers)
         self.iwdg.place(engine.windows[self.registers.window_name(self.iwdg)])
         self._wire(watchdog_resets)
         for address, data in signature():
-            self.context.set_memory(address, data)
+            self.engine.set_memory(address, data)
 
     def touched(self) -> tuple[Touch, ...]:
         """Return every register that the image touched, with counts."""
@@ -121,7 +123,7 @@ class Hardware:
             self.adc_common,
             self.adc,
             self.iwdg,
-            Device(self.context, "DBGMCU"),
+            Device(self.engine, "DBGMCU"),
         )
 
     def _wire(self, watchdog_resets: bool) -> None:
@@ -138,23 +140,19 @@ class Hardware:
             listener(rcc.clocks)
         self.dma.devices = self.registers.devices
         self.gyro.rest()
-        self.context.on_system_reset(self._on_reset)
+        self.engine.on_system_reset(self._on_reset)
         self.iwdg.by_hardware = lambda: self.flash.options.hardware_watchdog
         self.iwdg.reset()
         if not watchdog_resets:
-            self.iwdg.on_timeout = lambda: self._fail(
+            self.iwdg.on_timeout = lambda: self.engine.fail(
                 f"the watchdog was not fed for {self.iwdg.timeout_s * 1e3:.0f} ms: it would reset the chip"
             )
 
-    @property
-    def on_frame(self) -> Callable[[Frame], None]:
-        """Callback for every frame that an ESC takes."""
-        return self._hears_frame
-
-    @on_frame.setter
-    def on_frame(self, callback: Callable[[Frame], None]) -> None:
-        self._hears_frame = callback
-        self.native.on_frame = self._tell_frame
+    def hear_frames(self, callback: Callable[[Frame], None]) -> None:
+        """Call `callback` for every frame that an ESC takes from now on."""
+        for esc in self.escs:
+            esc.on_frame = callback
+        self.native.on_frame = lambda motor, *taken: callback(self.escs[motor].frame(*taken))
         self.native.hear_frames()
 
     def obeyed(self, count: int) -> NDArray[np.uint16]:
@@ -171,22 +169,14 @@ class Hardware:
 
     def _wire_esc(self, motor: int, timer: str, channel: int) -> Esc:
         place = TIMERS.index(timer)
-        esc = Esc(self.native.library.native_esc(self.native.handle, motor, place, channel), self._fail)
-        esc.on_frame = self._on_frame
+        esc = Esc(self.native.library.native_esc(self.native.handle, motor, place, channel), self.engine.fail)
         self.timers[timer].outputs[channel] = esc.pulses
         return esc
-
-    def _tell_frame(self, motor: int, cycle: int, data: int) -> None:
-        esc = self.escs[motor]
-        esc.on_frame(esc.frame(cycle, data))
 
     def _set_clock(self, clocks: Clocks) -> None:
         self.native.library.native_clocks(
             self.native.handle, clocks.apb1, clocks.apb2, clocks.timer1, clocks.timer2
         )
-
-    def _on_frame(self, frame: Frame) -> None:
-        self._hears_frame(frame)
 
     def _on_reset(self, cause: str) -> None:
         if cause == "power":
@@ -200,14 +190,11 @@ class Hardware:
         """Fail if erasing or programming starts in flight: it delays code and samples that cannot wait."""
         for esc in self.escs:
             last = esc.last
-            if last is None or last.value < DSHOT_MIN or self.context.cycle - last.cycle > UNFLOWN:
+            if last is None or last.value < DSHOT_MIN or self.engine.cycle - last.cycle > UNFLOWN:
                 continue
-            self._fail(
+            self.engine.fail(
                 f"{what} while motor {esc.motor} turns (DShot value {last.value}), expected motors at rest"
             )
-
-    def _fail(self, message: str) -> NoReturn:
-        self.context.fail(message)
 
 
 @dataclass(frozen=True)
@@ -310,7 +297,6 @@ class Board:
         self.engine.run_to(cycle)
 
     def run(self, seconds: float) -> None:
-        """Run for a while."""
         self.run_to(self.cycle + round(seconds * TIME_HZ))
 
     def report(self) -> Report:
@@ -330,6 +316,5 @@ class Board:
         )
 
     def close(self) -> None:
-        """Free the memory and close the card's file."""
         self.hardware.card_slot.close()
         self.engine.close()

@@ -7,11 +7,10 @@ something meanwhile.
 
 from __future__ import annotations
 
-from typing import Any
-
-from neuroflight.sim.board.core.context import TIME_HZ, Context
+from neuroflight.sim.board.core.context import TIME_HZ, Kept
+from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.native.library import NativeDevice
 from neuroflight.sim.board.peripherals.dma import STREAMS, DmaSystem
-from neuroflight.sim.board.peripherals.exti import Exti
 from neuroflight.sim.board.peripherals.rcc import MICROSECOND
 from neuroflight.sim.board.registers.bus import load_table
 
@@ -22,15 +21,17 @@ _NAMES = tuple((f"S{stream}CR", f"S{stream}NDTR") for stream in range(STREAMS)) 
 Stream = tuple[int, int, int]  # controller, stream, items left
 
 
-class Inspection:
+class Inspection(Kept):
     """A check for streams that wait in vain, and for the gyro's pulse taken by its wrong edge."""
 
-    def __init__(self, context: Context, dma: DmaSystem, exti: Exti, line: int) -> None:
+    kept = ("_waiting", "_again")
+
+    def __init__(self, engine: Engine, dma: DmaSystem, exti: NativeDevice, line: int) -> None:
         """line: of EXTI, which the data-ready line is connected to."""
-        self._context, self._dma, self._exti, self._line = context, dma, exti, line
+        self._engine, self._dma, self._exti, self._line = engine, dma, exti, line
         fields = load_table().blocks["DMA1"].registers["S0CR"].fields  # those of every stream are alike
         self._enabled, self._direction = fields["EN"].mask, fields["DIR"].mask
-        self._alarm = context.alarm("inspection", self._inspect)
+        self._alarm = engine.alarm("inspection", self._inspect)
         self._rest()
 
     def _rest(self) -> None:
@@ -40,7 +41,7 @@ class Inspection:
     def restart(self) -> None:
         """Restore the alarm after a reset of the chip."""
         self._rest()
-        self._alarm.set(self._context.cycle + PERIOD)
+        self._alarm.set(self._engine.cycle + PERIOD)
 
     def _inspect(self) -> None:
         self._validate_edge()
@@ -48,13 +49,13 @@ class Inspection:
         still = self._waiting & waiting
         if still and self._again < len(AGAIN):
             self._waiting = still
-            self._alarm.set(self._context.cycle + AGAIN[self._again])
+            self._alarm.set(self._engine.cycle + AGAIN[self._again])
             self._again += 1
             return
         if still:
             self._reject(*min(still))
         self._waiting, self._again = waiting, 0
-        self._alarm.set(self._context.cycle + PERIOD)
+        self._alarm.set(self._engine.cycle + PERIOD)
 
     def _to_peripherals(self) -> list[Stream]:
         """Return the enabled streams to peripherals with items left to move."""
@@ -70,7 +71,7 @@ class Inspection:
     def _reject(self, number: int, stream: int, left: int) -> None:
         controller = self._dma.controllers[number]
         channel, address = controller.get(f"S{stream}CR", "CHSEL"), controller.words[f"S{stream}PAR"]
-        self._context.fail(
+        self._engine.fail(
             f"{controller.name} stream {stream} has waited more than {1000 * PERIOD // TIME_HZ} ms to move "
             f"{left} items to 0x{address:08X}, but nothing makes the requests of its "
             f"channel {channel}"
@@ -81,13 +82,7 @@ class Inspection:
         bit = 1 << self._line
         words = self._exti.words
         if words["IMR"] & words["FTSR"] & bit and not words["RTSR"] & bit:
-            self._context.fail(
+            self._engine.fail(
                 f"EXTI line {self._line} takes the falling edge of the gyro's data-ready pulse, 50 us after "
                 f"the sample; expected the rising edge (EXTI_RTSR TR{self._line})"
             )
-
-    def state(self) -> Any:  # noqa: ANN401
-        return (self._waiting, self._again)
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        self._waiting, self._again = state

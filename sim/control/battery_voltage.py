@@ -7,12 +7,10 @@ float32 in the firmware's order of operations (housekeeping/battery.c), behind t
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.toolchain.contract import BATTERY_FILTER_S, BATTERY_RATE_HZ, SETTINGS
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 _PERIOD_S = np.float32(1.0) / np.float32(BATTERY_RATE_HZ)
 _SHARE = _PERIOD_S / (_PERIOD_S + np.float32(BATTERY_FILTER_S))
 _VOLTS_PER_MV = np.float32(0.001)

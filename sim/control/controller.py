@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.control.motors import throttle_mix
 from neuroflight.sim.control.observation import Observer
 from neuroflight.toolchain.ir.interpreter import advance, clear_state
@@ -23,9 +23,7 @@ class Controller(Protocol):
         """Clear all state, as when the firmware arms."""
         ...
 
-    def step(
-        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def step(self, setpoint: Array32, gyro: Array32, throttle: Array32) -> Array32:
         """Compute outputs y (N, M), fractions 0..1 before the throttle mix.
 
         setpoint, gyro: (N, 3) [rad/s], body axes; throttle: (N,), 0..1.
@@ -48,9 +46,7 @@ class PolicyController:
         """policy: stepped at its `control_rate_hz`, behind its `filters`.
 
         exact: with the roundings of the compiled C; see `toolchain.ir.interpreter`. idle: flown with this
-        one,
-        None: the policy's own. standing: the aircraft stand on the ground all the time, which the firmware
-        knows.
+        one, None: the policy's own. standing: the ground holds the aircraft all the time; the firmware knows.
         """
         self._network, _ = optimize(policy.network)
         self._state = clear_state(self._network, count)
@@ -67,7 +63,7 @@ class PolicyController:
             standing=standing,
         )
         self._action = np.zeros((count, policy.action_count), np.float32)
-        self._sensed: dict[str, NDArray[np.float32]] = {}
+        self._sensed: dict[str, Array32] = {}
         self.senses = bool(self._observer.names & SENSED)  # whether each step needs a `sense` before it
 
     def reset(self) -> None:
@@ -76,7 +72,7 @@ class PolicyController:
         self._action[:] = 0.0
         self._state = clear_state(self._network, len(self._everyone))
 
-    def sense(self, rotor_speed: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+    def sense(self, rotor_speed: Array, rotation: Array) -> None:
         """Set rotor speeds and attitude that the next step may observe.
 
         rotor_speed: (N, M) [rad/s]; rotation: (N, 3, 3), matrices from body to world.
@@ -86,9 +82,7 @@ class PolicyController:
             "gravity": -rotation[:, 2].astype(np.float32),
         }
 
-    def step(
-        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def step(self, setpoint: Array32, gyro: Array32, throttle: Array32) -> Array32:
         """See Controller."""
         observation = self._observer.observe(
             slice(None), setpoint, gyro, self._action, throttle, **self._sensed

@@ -7,17 +7,14 @@ and corrected by the gyro. float32 and in the firmware's order of operations (co
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse
+from neuroflight.sim.arrays import Array32, Flags, Which
 from neuroflight.sim.control.motors import raised
 from neuroflight.sim.physics.rotor import coefficient, response_rows, rotor_geometry, target_speed
 from neuroflight.toolchain.contract import ESTIMATOR_CORRECTION_HZ, ESTIMATOR_DELAY_MAX, GRAVITY
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.policy.model_constants import UNLIMITED, ModelConstants
-
-Array = NDArray[np.float32]
-Which = NDArray[np.intp] | slice
 
 
 def model_constants(aircraft: Aircraft, control_rate_hz: int) -> ModelConstants:
@@ -90,14 +87,10 @@ class Estimator:
         self._speed[index] = 0.0
         self._rate[index] = 0.0
 
-    def observe(
-        self, which: Which, first: NDArray[np.bool_] | None, gyro: Array, *, standing: bool = False
-    ) -> None:
+    def observe(self, which: Which, first: Flags | None, gyro: Array32, *, standing: bool = False) -> None:
         """Begin a control step of the aircraft of `which` with the gyro's rate (K, 3) [rad/s].
 
-        first: (K, 1), True in the first step; None: of no aircraft. standing: the ground holds them, so that
-        rotors
-        turn nothing.
+        first: (K, 1), True in the first step; None: of no aircraft. standing: the ground holds them.
         """
         model = self._model
         before = self._speed[which]
@@ -113,33 +106,33 @@ class Estimator:
         self._rate[which] = rate if first is None else np.where(first, gyro, rate)
         self._speed[which] = after
 
-    def command(self, which: Which, fractions: Array) -> None:
+    def command(self, which: Which, fractions: Array32) -> None:
         """End the step with these motor fractions (K, M) before the idle."""
         commands = self._commands[:, which]
         commands[:-1] = commands[1:]
         commands[-1] = raised(fractions, self._idle)
         self._commands[:, which] = commands
 
-    def rotor_estimate(self, which: Which, throttle: Array) -> Array:
+    def rotor_estimate(self, which: Which, throttle: Array32) -> Array32:
         """Return speeds (K, M) [rad/s] less those at which rotors settle under `throttle` (K,)."""
         at_rest = self._target(raised(throttle, self._idle))
-        estimate: Array = self._speed[which] - at_rest[:, None]
+        estimate: Array32 = self._speed[which] - at_rest[:, None]
         return estimate
 
-    def rate_estimate(self, which: Which) -> Array:
+    def rate_estimate(self, which: Which) -> Array32:
         """Return the predicted rates (K, 3) [rad/s]."""
-        rate: Array = self._rate[which]
+        rate: Array32 = self._rate[which]
         return rate
 
-    def _target(self, command: Array) -> Array:
+    def _target(self, command: Array32) -> Array32:
         a, b, c = (np.float32(number) for number in self._model.speed_curve)
-        target: Array = (a * command + b) * command + c
+        target: Array32 = (a * command + b) * command + c
         return target
 
-    def _advanced(self, speed: Array, command: Array) -> Array:
+    def _advanced(self, speed: Array32, command: Array32) -> Array32:
         model = self._model
         away = self._target(command) - speed
         change = np.where(away > 0.0, np.float32(model.rise), np.float32(model.fall)) * away
         change = np.minimum(np.maximum(change, np.float32(-model.loss_max)), np.float32(model.gain_max))
-        advanced: Array = np.maximum(np.float32(0.0), speed + change)
+        advanced: Array32 = np.maximum(np.float32(0.0), speed + change)
         return advanced

@@ -7,11 +7,9 @@ the mean of four, which comes three eighths of a control period late. float32, a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array32, Which
 from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
-
-Array = NDArray[np.float32]
 
 
 def samples_per_step(gyro_mean: bool, control_rate_hz: int) -> int:
@@ -28,11 +26,11 @@ class GyroMean:
         self._share = np.float32(1.0 / samples)
         self._fresh = np.ones(count, bool)
 
-    def reset(self, index: NDArray[np.intp] | slice) -> None:
+    def reset(self, index: Which) -> None:
         """Let the next sample of the aircraft of `index` be their first, as if it had been there before."""
         self._fresh[index] = True
 
-    def add(self, rate: Array, which: NDArray[np.intp] | slice = slice(None)) -> None:
+    def add(self, rate: Array32, which: Which = slice(None)) -> None:
         """Add a sample (K, 3) [rad/s] of the gyros of `which`."""
         last = self._last[:, which]
         last[:-1] = last[1:]
@@ -43,10 +41,10 @@ class GyroMean:
             self._fresh[which] = False
         self._last[:, which] = last
 
-    def mean(self, which: NDArray[np.intp] | slice = slice(None)) -> Array:
+    def mean(self, which: Which = slice(None)) -> Array32:
         """Compute the mean (K, 3) [rad/s] of the gyros of `which`."""
         total = self._last[0, which]
         for sample in self._last[1:]:
             total = total + sample[which]
-        mean: Array = total * self._share
+        mean: Array32 = total * self._share
         return mean

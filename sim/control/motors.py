@@ -8,18 +8,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, Mix
 from neuroflight.toolchain.errors import LinkError
 
-Array = NDArray[np.float32]
 
-
-def throttle_mix(y: Array, throttle: Array, mix: Mix = Mix.ATTITUDE_FIRST) -> Array:
-    """Compute motor fractions u (N, M), 0..1, of outputs y (N, M) in 0..1 under the pilot's thrust T (N,),
-    0..1.
-
-    See `toolchain.contract.Mix`.
-    """
+def throttle_mix(y: Array32, throttle: Array32, mix: Mix = Mix.ATTITUDE_FIRST) -> Array32:
+    """Compute motor fractions (N, M) of outputs y (N, M) and the pilot's thrust (N,), all 0..1; see Mix."""
     if mix is Mix.ATTITUDE_FIRST:
         lift = throttle * (np.float32(1.0) - y.max(axis=1))
         return _within(y + lift[:, None])
@@ -33,25 +28,25 @@ def throttle_mix(y: Array, throttle: Array, mix: Mix = Mix.ATTITUDE_FIRST) -> Ar
     return _within(u + shift[:, None])
 
 
-def _within(u: Array) -> Array:
+def _within(u: Array32) -> Array32:
     """Limit to 0..1, which rounding may exceed a little."""
     return np.minimum(np.maximum(u, np.float32(0.0)), np.float32(1.0))
 
 
-def raised(u: Array, idle: float) -> Array:
+def raised(u: Array32, idle: float) -> Array32:
     """Raise fractions u in 0..1 above the idle (0..1), any shape."""
     floor = np.float32(idle)
-    above: Array = floor + (np.float32(1.0) - floor) * u
+    above: Array32 = floor + (np.float32(1.0) - floor) * u
     return above
 
 
-def dshot_values(u: Array, idle: float) -> NDArray[np.uint16]:
+def dshot_values(u: Array32, idle: float) -> NDArray[np.uint16]:
     """Compute DShot throttle values (N, M), 48..2047, of fractions u in 0..1 above the idle (0..1)."""
     scaled = np.float32(DSHOT_SPAN) * raised(u, idle) + np.float32(0.5)
     return np.uint16(DSHOT_MIN) + scaled.astype(np.uint16)
 
 
-def motor_fractions(dshot: NDArray[np.uint16]) -> NDArray[np.float64]:
+def motor_fractions(dshot: NDArray[np.uint16]) -> Array:
     """Compute the motor fractions 0..1 that an ESC decodes: 0 for 0, otherwise (v - 48) / 1999.
 
     dshot: 11-bit values, any shape. Raises LinkError on a value that is no throttle.
@@ -80,8 +75,6 @@ def each_fraction(dshot: NDArray[np.uint16]) -> list[float]:
         return fractions
 
 
-def motor_commands(
-    y: Array, throttle: Array, idle: float, mix: Mix = Mix.ATTITUDE_FIRST
-) -> NDArray[np.float64]:
+def motor_commands(y: Array32, throttle: Array32, idle: float, mix: Mix = Mix.ATTITUDE_FIRST) -> Array:
     """Compute motor fractions (N, M) that ESCs decode, of outputs y (N, M) under the pilot's thrust (N,)."""
     return motor_fractions(dshot_values(throttle_mix(y, throttle, mix), idle))

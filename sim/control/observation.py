@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array32, Flags, Indices, Which
 from neuroflight.sim.control.estimator import Estimator
 from neuroflight.toolchain.contract import (
     GYRO_FULL_SCALE_DEG_S,
@@ -22,9 +22,6 @@ from neuroflight.toolchain.contract import (
     observation_count,
 )
 from neuroflight.toolchain.policy.model_constants import ModelConstants
-
-Array = NDArray[np.float32]
-Which = NDArray[np.intp] | slice
 
 _RATE_MAX = math.radians(GYRO_FULL_SCALE_DEG_S)
 _ERROR_MAX = math.radians(RATE_FULL_STICK_DEG_S) + _RATE_MAX
@@ -45,7 +42,7 @@ _LIMITS = {
 }
 
 
-def limits(terms: tuple[ObservationTerm, ...], motors: int) -> tuple[Array, Array]:
+def limits(terms: tuple[ObservationTerm, ...], motors: int) -> tuple[Array32, Array32]:
     """Return the least and the greatest value of each observation, (n,) each, raw units."""
     pairs = [_LIMITS[term.name] for term in terms for _ in range(term.count(motors))]
     low, high = np.array(pairs, np.float32).T
@@ -84,7 +81,7 @@ class Observer:
         self._integral = np.zeros((count, 3), np.float32)
         self._fresh = np.ones(count, bool)
 
-    def reset(self, index: NDArray[np.intp]) -> None:
+    def reset(self, index: Indices) -> None:
         """Clear the state of the aircraft of `index`, as arming does: their next step is the first."""
         self._fresh[index] = True
         self._integral[index] = 0.0
@@ -94,7 +91,7 @@ class Observer:
         for term in self._terms:
             term.reset(index)
 
-    def commanded(self, which: Which, fractions: Array, throttle: Array) -> None:
+    def commanded(self, which: Which, fractions: Array32, throttle: Array32) -> None:
         """Record the step's result: motor fractions (K, M) after the mix, before the idle; throttle (K,)."""
         self._motors[which] = fractions - throttle[:, None]
         if self._estimator is not None:
@@ -103,14 +100,14 @@ class Observer:
     def observe(
         self,
         which: Which,
-        setpoint: Array,
-        rate: Array,
-        previous_action: Array,
-        throttle: Array,
+        setpoint: Array32,
+        rate: Array32,
+        previous_action: Array32,
+        throttle: Array32,
         *,
-        rotor_speed: Array | None = None,
-        gravity: Array | None = None,
-    ) -> Array:
+        rotor_speed: Array32 | None = None,
+        gravity: Array32 | None = None,
+    ) -> Array32:
         """Compute the observation (K, n) of this control step for the K aircraft of `which`, raw units.
 
         setpoint, rate: (K, 3) [rad/s]; previous_action: (K, M); throttle: (K,); rotor_speed: (K, M)
@@ -166,11 +163,11 @@ class _Term:
         self._passed = None if term.cutoff_hz is None else np.zeros((count, width), np.float32)
         self._waiting = np.zeros((term.age, count, width), np.float32)  # the newest first
 
-    def reset(self, index: NDArray[np.intp]) -> None:
+    def reset(self, index: Indices) -> None:
         """Clear the past values of the aircraft of `index`."""
         self._waiting[:, index] = 0.0
 
-    def observe(self, which: Which, fresh: NDArray[np.bool_] | None, value: Array) -> Array:
+    def observe(self, which: Which, fresh: Flags | None, value: Array32) -> Array32:
         """Compute the term (K, width) of this step from its block's `value`.
 
         fresh: (K, 1), True in the first step; None: of no aircraft.

@@ -1,25 +1,16 @@
-"""The attitude-rate PID that flies: the firmware's C, one for each of N aircraft, in float32.
+"""The attitude-rate PID that flies, every policy's baseline: the firmware's C, one for each of N aircraft.
 
-The baseline that every policy is compared with. Its arithmetic is that of firmware/src/control/pid.c; what
-stands here gives it its inputs and an aircraft's numbers, those that an image is built with.
+What stands here gives firmware/src/control/pid.c its inputs and an aircraft's numbers, those of an image:
 
 u_axis = c (K_P e + K_I sum(e) dt - a K_D d gyro/dt) / 1000 with the rate error e and the gyro in deg/s,
-spread over the motors by a mixer that follows from the geometry unless the settings name their own. The sum
-is then lifted until no motor is below zero, and narrowed if it spans more than the whole range: the
-differences between motors, which turn the aircraft, stay.
+spread over the motors by a mixer that follows from the geometry unless the settings name their own, lifted
+until no motor is below zero, and narrowed if it spans more than the whole range. a falls from 1 at a
+throttle, the breakpoint, to 1 - rate at full throttle; c is (nominal / measured)^2 of the battery's voltage,
+1 to PID_COMPENSATION_MAX. Both are 1 where the settings do not name them.
 
-a is 1 up to a throttle, the breakpoint, and falls from there to 1 - rate at full throttle: that is where K_D
-swings first when the motors answer late. c is (nominal / measured)^2 of the battery's voltage, 1 to
-PID_COMPENSATION_MAX: rotor speed goes with the voltage, thrust with its square. Both are 1 where the settings
-do not name them.
-
-Three choices are ours. The derivative is the gyro's, not the error's: no kick when the sticks jump. It may
-be low-passed, as on every flight controller: bare, the NF1's gyro noise alone moves the motors by a tenth
-of their range each step. And the outputs are lifted just as far as they must be. With the published gains
-and mixer, without noise and delay, 1,000 commands give MAE 4.50 / 4.77 / 3.77 deg/s and MSE 410 / 455 / 177
-(docs/results.md). Koch 2019, table 5.7, prints MAE 4 / 4 / 3, which its IAE = 1000 MAE shows to be cut from
-4.773 / 4.941 / 3.829, and MSE 414 / 492 / 199. The derivative of the error gives the same to
-0.01 deg/s, lifting by half the span 0.2 deg/s more, and clipping at zero half as much error again.
+With the published gains and mixer, without noise and delay, 1,000 commands give MAE 4.50 / 4.77 / 3.77 deg/s,
+where Koch 2019, table 5.7, has 4.773 / 4.941 / 3.829. The derivative of the error, not of the gyro, gives the
+same to 0.01 deg/s, lifting by half the span 0.2 deg/s more, and clipping at zero half as much error again.
 """
 
 from __future__ import annotations
@@ -28,14 +19,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.control.library import library
-from neuroflight.sim.control.pid_table import Array, pid_mixer, pid_settings, settings_table
+from neuroflight.sim.control.pid_table import pid_mixer, pid_settings, settings_table
 from neuroflight.toolchain.rendering.pid_table import PidTable, pid_gains
-
-Array32 = NDArray[np.float32]
 
 
 class Pid:

@@ -8,15 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.identity import shipped_as, told
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings, aircraft_file, load_aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import AircraftError, BuildError
 from neuroflight.toolchain.policy.model import PolicyModel
 from neuroflight.toolchain.rendering.pid_table import PidTable
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ def pid_settings(aircraft: Aircraft, name: str | None = None) -> PidSettings:
     if not pids:
         raise AircraftError(
             f"aircraft {aircraft.name}: no [pid.NAME] table with roll, pitch, yaw gains; add one, or let "
-            f"`neuroflight pid tune --write` do it"
+            f"`neuroflight pid tune --out` do it"
         )
     if name is not None and name not in pids:
         raise AircraftError(f"aircraft {aircraft.name}: no PID {name!r}; it has: {', '.join(pids)}")
@@ -113,6 +111,6 @@ def beside(
     if not aircraft.pids and not no_pid:
         raise BuildError(
             f"aircraft {name} has no PID to fall back to: find one with `neuroflight pid tune --aircraft "
-            f"{name} --write {aircraft_file(name)}`; {stops}"
+            f"{name} --out {aircraft_file(name)}`; {stops}"
         )
     return Beside(aircraft, name, own, None if no_pid else pid_table(aircraft))

@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from neuroflight.sim.arrays import Array32
 from neuroflight.toolchain.contract import (
     CHANNEL_ARM,
     CHANNEL_COUNT,
@@ -37,22 +38,22 @@ _SIGNS = np.array([1, 1, -1], np.float32)
 _US_PER_DEG_S = (CHANNEL_MAX_US - CHANNEL_MID_US) / RATE_FULL_STICK_DEG_S
 
 
-def setpoint(channels_us: ArrayLike) -> NDArray[np.float32]:
+def setpoint(channels_us: ArrayLike) -> Array32:
     """Compute the rates [rad/s] commanded by the sticks, body frame, shape (..., 3), as the firmware does.
 
     channels_us: whole pulse widths [us], shape (..., CHANNEL_COUNT).
     """
     channels = np.asarray(channels_us, np.int32)[..., _RATE_CHANNELS]
     stick = (channels - CHANNEL_MID_US).astype(np.float32) * _STICK_PER_US
-    rates: NDArray[np.float32] = np.clip(stick, np.float32(-1), np.float32(1)) * (_FULL_STICK * _SIGNS)
+    rates: Array32 = np.clip(stick, np.float32(-1), np.float32(1)) * (_FULL_STICK * _SIGNS)
     return rates
 
 
-def throttle(channels_us: ArrayLike) -> NDArray[np.float32]:
+def throttle(channels_us: ArrayLike) -> Array32:
     """Compute the pilot's thrust 0..1, shape (...), from channels of shape (..., CHANNEL_COUNT)."""
     channel = np.asarray(channels_us, np.int32)[..., CHANNEL_THROTTLE]
     fraction = (channel - CHANNEL_MIN_US).astype(np.float32) * _THROTTLE_PER_US
-    clipped: NDArray[np.float32] = np.clip(fraction, np.float32(0), np.float32(1))
+    clipped: Array32 = np.clip(fraction, np.float32(0), np.float32(1))
     return clipped
 
 

@@ -13,16 +13,14 @@ from enum import Enum
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import MeshPose, rotation_angles, rotation_matrix
 from neuroflight.sim.aircraft.model import RPM, Aircraft, Propulsion
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.design.figures import AircraftFigures, aircraft_figures, balanced_thrust, thrust_map
 from neuroflight.sim.physics.air import AIR_DENSITY
 from neuroflight.sim.physics.rotor import thrust_and_torque
 from neuroflight.toolchain.contract import AXES, GRAVITY, MOTOR_PLACES
-
-Array = NDArray[np.float64]
 
 THRUST_TO_WEIGHT_LOW = 1.5  # below it little thrust is left for control
 HEAVY = 1.0  # [kg], a part that may have been given in grams, where the aircraft cannot lift itself
@@ -66,29 +64,32 @@ class Verdict:
     message: str
 
 
+Finding = tuple[Level, str]  # of a check, whose subject stands in CHECKS
+
+
 def examine(aircraft: Aircraft) -> tuple[AircraftFigures, list[Verdict]]:
     """Compute the figures of an aircraft and the verdicts of all checks."""
     figures = aircraft_figures(aircraft)
-    checks = (
-        *(_thrust, _hover, _control, _motors, _size, _inertia, _centre),
-        *(_propeller, _propeller_part, _rotor, _battery, _body),
-    )
-    return figures, [verdict for check in checks for verdict in check(aircraft, figures)]
+    return figures, [
+        Verdict(level, subject, message)
+        for subject, check in CHECKS
+        for level, message in check(aircraft, figures)
+    ]
 
 
-def _thrust(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _thrust(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     ratio = figures.thrust_to_weight
     message = f"{figures.thrust_max:.3g} N at full throttle, {ratio:.2f} times the weight"
     if ratio <= 1:
         hint = _grams(aircraft, figures) or (
             "; check mass_kg of the parts, speed_curve_rpm and the thrust coefficient"
         )
-        yield Verdict(Level.ERROR, "thrust", f"{message}: it cannot lift itself{hint}")
+        yield Level.ERROR, f"{message}: it cannot lift itself{hint}"
     elif ratio < THRUST_TO_WEIGHT_LOW:
         low = f": little is left to steer with; expected {THRUST_TO_WEIGHT_LOW:g} or more"
-        yield Verdict(Level.WARNING, "thrust", message + low)
+        yield Level.WARNING, message + low
     else:
-        yield Verdict(Level.OK, "thrust", message)
+        yield Level.OK, message
 
 
 def _grams(aircraft: Aircraft, figures: AircraftFigures) -> str:
@@ -104,7 +105,7 @@ def _grams(aircraft: Aircraft, figures: AircraftFigures) -> str:
     )
 
 
-def _motors(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _motors(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     """Check places and turning directions of a quadcopter's motors, on which everything else depends."""
     hubs = np.array([rotor.position[:2] for rotor in aircraft.rotors])
     offset = (hubs - hubs.mean(axis=0)) / max(figures.reach, 1e-9)
@@ -120,9 +121,8 @@ def _motors(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     found = ", ".join(listed)
     if tuple(places) != MOTOR_PLACES:
         wanted = ", ".join(f"{number} {place}" for number, place in enumerate(MOTOR_PLACES, 1))
-        yield Verdict(
+        yield (
             Level.WARNING,
-            "motors",
             f"{found}; expected {wanted}, as on the bench and in Betaflight: put the [[rotor]] tables into "
             f"that order",
         )
@@ -132,23 +132,22 @@ def _motors(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
         PROPS_OUT: ": propellers out",
     }
     way = ways.get(tuple(turns), "")
-    yield Verdict(Level.OK, "motors", found + way)
+    yield Level.OK, found + way
 
 
-def _hover(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _hover(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     if figures.hover is not None:
         thrust = figures.hover.thrust
         share = thrust.max() / max(thrust.min(), 1e-9)
         low, high = figures.hover.throttle.min(), figures.hover.throttle.max()
         message = f"throttle {low:.2f} to {high:.2f}" if high - low > 0.005 else f"throttle {high:.2f}"
         if share <= SHARE_HIGH:
-            yield Verdict(Level.OK, "hover", message)
+            yield Level.OK, message
             return
         weak, strong = int(thrust.argmin()) + 1, int(thrust.argmax()) + 1
         times = f"{share:.1f} times that of" if share < 100 else "all of its weight beside"
-        yield Verdict(
+        yield (
             Level.WARNING,
-            "hover",
             f"{message}: motor {strong} carries {times} motor {weak}; the centre of mass lies off the "
             f"rotors' middle, or the spins are uneven",
         )
@@ -168,17 +167,16 @@ def _hover(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
             problem = (
                 "it can be held level, but the propellers' torques never cancel; check spin of the rotors"
             )
-        yield Verdict(Level.ERROR, "hover", problem)
+        yield Level.ERROR, problem
 
 
-def _control(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _control(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     rows = thrust_map(aircraft, np.ones(aircraft.motor_count))
     rows[1:3] /= max(figures.reach, 1e-9)
     rank = int(np.linalg.matrix_rank(rows, tol=1e-3))
     if rank < 4:
-        yield Verdict(
+        yield (
             Level.ERROR,
-            "control",
             f"the motors can set {rank} of thrust, roll, pitch and yaw independently, expected all 4; "
             f"it takes four rotors or more, at different places, with both spins",
         )
@@ -188,51 +186,50 @@ def _control(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
     message = f"roll / pitch / yaw up to {values} rad/s² in a hover"
     if figures.hover is not None and figures.hover_acceleration[weakest] < 1.0:
         low = f": next to nothing in {AXES[weakest]}; check inertia_kg_m2 and torque_ratio_m"
-        yield Verdict(Level.WARNING, "control", message + low)
+        yield Level.WARNING, message + low
     elif figures.hover is not None:
-        yield Verdict(Level.OK, "control", message)
+        yield Level.OK, message
 
 
-def _size(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _size(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     loading = figures.mass / figures.wheelbase**2
     message = f"{figures.mass:.3g} kg on a wheelbase of {1000 * figures.wheelbase:.0f} mm"
     hint = "; masses are in kg, lengths in m"
-    yield _graded("size", message, loading, LOADING_USUAL, LOADING_POSSIBLE, hint)
+    yield _graded(message, loading, LOADING_USUAL, LOADING_POSSIBLE, hint)
     for part in aircraft.parts:
         at = np.array(part.position) + rotation_matrix(part.rotation) @ np.array(part.centre)
         away = float(np.linalg.norm(at - figures.centre))
         if away > FAR * figures.reach:
-            yield Verdict(
+            yield (
                 Level.WARNING,
-                "size",
                 f"part {part.name!r} lies {1000 * away:.0f} mm from the centre of mass, the farthest rotor "
                 f"{1000 * figures.reach:.0f} mm; check its position_m and centre_of_mass_m",
             )
 
 
-def _inertia(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _inertia(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     radii = np.sqrt(figures.principal_moments / figures.mass)
     ratios = radii / max(figures.reach, 1e-9)
     worst = int(np.abs(np.log(ratios)).argmax())
     values = " / ".join(f"{1000 * radius:.0f}" for radius in radii)
     message = f"radii of gyration {values} mm, the farthest rotor {1000 * figures.reach:.0f} mm"
     hint = "; check inertia_kg_m2 of the parts: kg m², about their own centre of mass"
-    yield _graded("inertia", message, float(ratios[worst]), GYRATION_USUAL, GYRATION_POSSIBLE, hint)
+    yield _graded(message, float(ratios[worst]), GYRATION_USUAL, GYRATION_POSSIBLE, hint)
 
 
-def _centre(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _centre(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     middle = np.mean([rotor.position for rotor in aircraft.rotors], axis=0)
     away = float(np.linalg.norm(np.array(aircraft.centre_of_thrust) - middle))
     message = f"centre_of_thrust_m lies {1000 * away:.0f} mm from the middle of the propellers"
     if away > CENTRE_OFF * figures.reach:
         where = ", ".join(f"{value:.4g}" for value in middle)
         hint = f", [{where}]; the rig would hold it in the wrong place"
-        yield Verdict(Level.WARNING, "centre of thrust", message + hint)
+        yield Level.WARNING, message + hint
     else:
-        yield Verdict(Level.OK, "centre of thrust", message)
+        yield Level.OK, message
 
 
-def _propeller(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _propeller(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     propulsion, diameter = aircraft.propulsion, aircraft.propulsion.propeller_diameter
     if diameter is None:
         return
@@ -244,28 +241,25 @@ def _propeller(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict
     )
     if merit.max() > 1:
         hint = "more thrust than its torque can pay for; check thrust coefficient, torque ratio and diameter"
-        yield Verdict(Level.ERROR, "propeller", f"{message}: {hint}")
+        yield Level.ERROR, f"{message}: {hint}"
     elif not MERIT_USUAL[0] <= merit.min() <= merit.max() <= MERIT_USUAL[1]:
         usual = f"unusual, expected {MERIT_USUAL[0]:g} to {MERIT_USUAL[1]:g}"
-        yield Verdict(Level.WARNING, "propeller", f"{message}: {usual}; check the coefficients and diameter")
+        yield Level.WARNING, f"{message}: {usual}; check the coefficients and diameter"
     elif tip > TIP_SPEED_HIGH:
-        yield Verdict(
-            Level.WARNING, "propeller", f"{message}: near the speed of sound; check speed_curve_rpm"
-        )
+        yield Level.WARNING, f"{message}: near the speed of sound; check speed_curve_rpm"
     else:
-        yield Verdict(Level.OK, "propeller", message)
+        yield Level.OK, message
     for (i, a), (j, b) in combinations(enumerate(aircraft.rotors, start=1), 2):
         across = math.dist(a.position[:2], b.position[:2])
         if across < diameter:
-            yield Verdict(
+            yield (
                 Level.WARNING,
-                "propeller",
                 f"those of motors {i} and {j} overlap: hubs {1000 * across:.0f} mm apart, diameter "
                 f"{1000 * diameter:.0f} mm; the twin knows no loss by that",
             )
 
 
-def _propeller_part(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _propeller_part(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     """Check that the propeller lies flat, thin along the thrust axis z, and is balanced about its hub."""
     part = next((part for part in aircraft.parts if part.name == "propeller 1"), None)
     if part is None:
@@ -277,23 +271,22 @@ def _propeller_part(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Ve
             message = (
                 f"propeller_part has its greatest moment about {about}, a propeller that lies flat about z"
             )
-            yield Verdict(Level.WARNING, "propeller", f"{message}; check the order of inertia_kg_m2")
+            yield Level.WARNING, f"{message}; check the order of inertia_kg_m2"
         return
     axis = _thin_axis(part.surface, np.array(part.centre))
     if axis is not None and axis[2] < math.cos(UPRIGHT):
         off = math.degrees(math.acos(axis[2]))
         message = f"propeller_part stands upright: its thin axis is {off:.0f} deg off z, where rotors thrust"
         hint = "check the order of box_m" if part.mesh is None else f"turn it by {_turned(part.mesh, axis)}"
-        yield Verdict(Level.WARNING, "propeller", f"{message}; {hint}")
+        yield Level.WARNING, f"{message}; {hint}"
         return
     away = math.hypot(*part.centre[:2])
     reach = float(np.ptp(part.surface.reshape(-1, 3)[:, :2], axis=0).max()) / 2
     if part.mesh is not None and away > UNBALANCED * reach:
         x, y, z = np.round(np.array(part.mesh.offset) - [*part.centre[:2], 0.0], 5)
         message = f"propeller_part's centre of mass lies {1000 * away:.0f} mm off its hub's axis"
-        yield Verdict(
+        yield (
             Level.WARNING,
-            "propeller",
             f"{message}; move it by mesh_offset_m = [{x + 0:g}, {y + 0:g}, {z + 0:g}]",
         )
 
@@ -336,8 +329,7 @@ def _turned(pose: MeshPose, axis: Array) -> str:
 
 
 def _merit(propulsion: Propulsion, diameter: float) -> Array:
-    """Compute the figure of merit from a tenth of full speed up: ideal induced power over power, at rest in
-    the air.
+    """Compute the figure of merit from a tenth of full speed up: ideal over actual power, in still air.
 
     Source: momentum theory, P = T^1.5 / sqrt(2 rho A).
     """
@@ -347,33 +339,33 @@ def _merit(propulsion: Propulsion, diameter: float) -> Array:
     return np.asarray(thrust**1.5 / math.sqrt(2 * AIR_DENSITY * area) / (torque * speed))
 
 
-def _rotor(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _rotor(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     inertia = aircraft.propulsion.rotor_inertia
     together, whole = aircraft.motor_count * inertia, float(figures.inertia[2, 2])
     hint = "check rotor_inertia_kg_m2: propeller and motor bell, about their axis, kg m²"
     if together >= whole:
         message = f"rotors of {together:.3g} kg m² in an aircraft of {whole:.3g} kg m² about z; {hint}"
-        yield Verdict(Level.ERROR, "rotor", message)
+        yield Level.ERROR, message
         return
     propeller = next((part.inertia[2][2] for part in aircraft.parts if part.name == "propeller 1"), 0.0)
     if inertia < 0.5 * propeller:
         message = f"a rotor of {inertia:.3g} kg m² carries a propeller of {propeller:.3g} kg m²; {hint}"
-        yield Verdict(Level.WARNING, "rotor", message)
+        yield Level.WARNING, message
 
 
-def _battery(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _battery(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     battery, supply = aircraft.battery, aircraft.propulsion.supply_voltage
     if battery is None:
-        yield Verdict(Level.OK, "battery", "none given: it flies at a constant voltage")
+        yield Level.OK, "none given: it flies at a constant voltage"
         return
     if supply is None:
         hint = "give propulsion.supply_voltage_v, where speed_curve_rpm was measured"
-        yield Verdict(Level.WARNING, "battery", f"the twin cannot tell how speed follows its voltage; {hint}")
+        yield Level.WARNING, f"the twin cannot tell how speed follows its voltage; {hint}"
     else:
         message = f"{battery.rest_voltage:g} V full, speed curve at {supply:g} V"
         hint = "; check cells, rest_voltage_v and supply_voltage_v"
         ratio = battery.rest_voltage / supply
-        yield _graded("battery", message, ratio, SUPPLY_USUAL, SUPPLY_POSSIBLE, hint)
+        yield _graded(message, ratio, SUPPLY_USUAL, SUPPLY_POSSIBLE, hint)
     endurance = figures.endurance
     if endurance is not None:
         voltage = endurance.full_throttle_voltage
@@ -381,37 +373,39 @@ def _battery(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
         if cell < CELL_LOADED_LOW:
             sag = f"sags to {cell:.2f} V a cell at full throttle" if voltage else "cannot feed full throttle"
             hint = f"expected {CELL_LOADED_LOW:g} V or more; check resistance_ohm and efficiency"
-            yield Verdict(Level.WARNING, "battery", f"a full pack {sag}; {hint}")
+            yield Level.WARNING, f"a full pack {sag}; {hint}"
 
 
-def _body(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Verdict]:
+def _body(aircraft: Aircraft, figures: AircraftFigures) -> Iterator[Finding]:
     if aircraft.body is None:
-        yield Verdict(Level.OK, "body", "none given: no ground to stand on, no drag")
+        yield Level.OK, "none given: no ground to stand on, no drag"
         return
     low = np.array(aircraft.body.centre) - np.array(aircraft.body.size) / 2
     high = low + np.array(aircraft.body.size)
     hub = min(rotor.position[2] for rotor in aircraft.rotors)
     if not ((low < figures.centre) & (figures.centre < high)).all():
         hint = "check size_m and centre_m"
-        yield Verdict(Level.WARNING, "body", f"the centre of mass lies outside the box; {hint}")
+        yield Level.WARNING, f"the centre of mass lies outside the box; {hint}"
     elif hub < low[2]:
         below = f"the propellers are {1000 * (low[2] - hub):.0f} mm below the box's bottom"
-        yield Verdict(Level.WARNING, "body", f"{below}, in the ground when it stands; check centre_m")
+        yield Level.WARNING, f"{below}, in the ground when it stands; check centre_m"
     else:
         sides = " x ".join(f"{1000 * side:.0f}" for side in aircraft.body.size)
-        yield Verdict(Level.OK, "body", f"{sides} mm, centre of mass inside")
+        yield Level.OK, f"{sides} mm, centre of mass inside"
 
 
 def _graded(
-    subject: str,
-    message: str,
-    value: float,
-    usual: tuple[float, float],
-    possible: tuple[float, float],
-    hint: str,
-) -> Verdict:
+    message: str, value: float, usual: tuple[float, float], possible: tuple[float, float], hint: str
+) -> Finding:
     if usual[0] <= value <= usual[1]:
-        return Verdict(Level.OK, subject, message)
+        return Level.OK, message
     if possible[0] <= value <= possible[1]:
-        return Verdict(Level.WARNING, subject, f"{message}: unusual{hint}")
-    return Verdict(Level.ERROR, subject, f"{message}: cannot be{hint}")
+        return Level.WARNING, f"{message}: unusual{hint}"
+    return Level.ERROR, f"{message}: cannot be{hint}"
+
+
+CHECKS = (
+    *(("thrust", _thrust), ("hover", _hover), ("control", _control), ("motors", _motors), ("size", _size)),
+    *(("inertia", _inertia), ("centre of thrust", _centre), ("propeller", _propeller)),
+    *(("propeller", _propeller_part), ("rotor", _rotor), ("battery", _battery), ("body", _body)),
+)

@@ -17,15 +17,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle, Wedge
 from matplotlib.path import Path as Curve
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from neuroflight.sim.aircraft.mass import Part, rotation_matrix
 from neuroflight.sim.aircraft.mesh import cylinder, equal_box
 from neuroflight.sim.aircraft.model import RPM, Aircraft, Rotor
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.design.figures import AircraftFigures
 from neuroflight.sim.plotting import GRID, INK, save_png
 
-Array = NDArray[np.float64]
 MM = 1000.0  # drawn in millimetres
 WIDTH, COLUMN, MARGIN = 6.4, 2.75, 0.8  # [inch]: of a view, of the figures beside it, at left and below
 SPIN_COLOURS = {1: "#0072b2", -1: "#d55e00"}
@@ -60,10 +60,9 @@ def draw_aircraft(aircraft: Aircraft, figures: AircraftFigures) -> Figure:
         view.set_xlim(across / 2, -across / 2)
         view.set_ylim(low[axis] - pad, high[axis] + pad)
         _dress(view)
-    above.set_title("from above", loc="left", fontsize=11, fontweight="bold", color=INK, pad=4)
-    behind.set_title("from behind", loc="left", fontsize=11, fontweight="bold", color=INK, pad=4)
-    above.set_ylabel("x forward, mm", color=INK)
-    behind.set_ylabel("z up, mm", color=INK)
+    for view, name, up in ((above, "from above", "x forward, mm"), (behind, "from behind", "z up, mm")):
+        view.set_title(name, loc="left", fontsize=11, fontweight="bold", color=INK, pad=4)
+        view.set_ylabel(up, color=INK)
     behind.set_xlabel("y left, mm", color=INK)
 
     _draw_parts(above, aircraft.parts, FROM_ABOVE)
@@ -214,17 +213,9 @@ def _draw_rotor(view: Axes, number: int, rotor: Rotor, radius: float, known: boo
             capstyle="round",
         )
     )
-    view.text(
-        y,
-        x,
-        str(number),
-        ha="center",
-        va="center_baseline",
-        fontsize=14,
-        fontweight="bold",
-        color=colour,
-        zorder=5,
-        bbox={"boxstyle": "circle,pad=0.28", "facecolor": "white", "edgecolor": colour, "lw": 1.2},
+    box = {"boxstyle": "circle,pad=0.28", "facecolor": "white", "edgecolor": colour, "lw": 1.2}
+    _write(
+        view, y, x, str(number), 14, "center_baseline", fontweight="bold", color=colour, zorder=5, bbox=box
     )
 
 
@@ -245,17 +236,8 @@ def _draw_rotors_behind(view: Axes, rotors: Sequence[Rotor], radius: float, acro
         )
     for numbers in hubs.values():
         first = rotors[numbers[0] - 1].position
-        view.text(
-            MM * first[1],
-            MM * first[2] + 0.012 * across,
-            " ".join(str(number) for number in numbers),
-            ha="center",
-            va="bottom",
-            fontsize=10,
-            fontweight="bold",
-            color=INK,
-            zorder=5,
-        )
+        text, (_, y, z) = " ".join(map(str, numbers)), (MM * value for value in first)
+        _write(view, y, z + 0.012 * across, text, 10, "bottom", fontweight="bold", zorder=5)
 
 
 def _draw_ground(view: Axes, aircraft: Aircraft, across: float) -> None:
@@ -308,16 +290,8 @@ def _draw_compass(view: Axes, across: float) -> None:
                 (y, x), tip, arrowstyle="-|>", mutation_scale=11, color=INK, lw=1.3, shrinkA=0, shrinkB=0
             )
         )
-        view.text(
-            y + dy * 1.22 * length,
-            x + dx * 1.22 * length,
-            name,
-            ha="center",
-            va="center",
-            fontsize=10,
-            fontstyle="italic",
-            color=INK,
-        )
+        at = y + dy * 1.22 * length, x + dx * 1.22 * length
+        _write(view, *at, name, 10, "center", fontstyle="italic")
 
 
 def _draw_scale_bar(view: Axes, across: float) -> None:
@@ -326,15 +300,7 @@ def _draw_scale_bar(view: Axes, across: float) -> None:
     length = max(step * power for step in (1, 2, 5) if step * power <= across / 5)
     right, low = view.get_xlim()[1] + 0.035 * across, view.get_ylim()[0] + 0.035 * across
     view.plot([right, right + length], [low, low], color=INK, lw=2.5, solid_capstyle="butt")
-    view.text(
-        right + length / 2,
-        low + 0.012 * across,
-        f"{length:g} mm",
-        ha="center",
-        va="bottom",
-        fontsize=9,
-        color=INK,
-    )
+    _write(view, right + length / 2, low + 0.012 * across, f"{length:g} mm", 9, "bottom")
 
 
 def _write_figures(
@@ -408,20 +374,12 @@ def _dress(view: Axes) -> None:
         spine.set_color(GRID)
 
 
+def _write(view: Axes, across: float, up: float, text: str, size: float, va: str, **style: object) -> None:
+    """Write a text, centred across."""
+    view.text(across, up, text, fontsize=size, ha="center", va=va, **{"color": INK, **style})  # type: ignore[arg-type]
+
+
 def _hull(points: Array) -> Array:
-    """Compute the convex hull (H, 2) of points (K, 2), counter-clockwise (Andrew's monotone chain)."""
-
-    def half(ordered: Sequence[list[float]]) -> list[list[float]]:
-        chain: list[list[float]] = []
-        for point in ordered:
-            while len(chain) >= 2 and _turn(chain[-2], chain[-1], point) <= 0:
-                chain.pop()
-            chain.append(point)
-        return chain[:-1]
-
-    ordered = sorted(points.tolist())
-    return np.array(half(ordered) + half(ordered[::-1]))
-
-
-def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    """Compute the convex hull (H, 2) of points (K, 2); a flat part's may lie on a line (QJ)."""
+    hull: Array = points[ConvexHull(points, qhull_options="QJ").vertices]
+    return hull

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import principal
 from neuroflight.sim.aircraft.model import Aircraft, Battery
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.battery import loaded_voltage, open_circuit_voltage
 from neuroflight.sim.physics.rotor import coefficient, target_speed, thrust_and_torque
 from neuroflight.toolchain.contract import GRAVITY
-
-Array = NDArray[np.float64]
 
 HOVER_PASSES = 5  # K_Q depends on the speed, if at all, weakly
 SPEEDS = 2001  # points of the grid on which speed and throttle are looked up
@@ -89,10 +87,9 @@ def aircraft_figures(aircraft: Aircraft) -> AircraftFigures:
 
 
 def hover_throttle(aircraft: Aircraft, idle: float) -> float | None:
-    """Compute the pilot's throttle that holds the weight, on the bench supply, with motors that idle at
-    `idle`.
+    """Compute the pilot's throttle, above motors at `idle`, that holds the weight on the bench supply.
 
-    None: the aircraft cannot hover. The mixer adds throttle above the idle, to all motors alike.
+    The mixer adds throttle to all motors alike. None: the aircraft cannot hover.
     """
     hover = aircraft_figures(aircraft).hover
     return None if hover is None else float(np.clip((hover.throttle.mean() - idle) / (1.0 - idle), 0.0, 1.0))

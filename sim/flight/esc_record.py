@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.toolchain.files import write_text
-
-Array = NDArray[np.float64]
 
 DIGITS = {  # of each topic in a file: those that an ESC or a thermometer could tell, and of forces enough
     "speed_rpm": 2,

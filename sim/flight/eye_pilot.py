@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.control import sticks
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ LIFTED_M, LANDED_M = 0.03, 0.03  # above where it stood
 LEVEL_PER_S = 1.5  # rate for each radian that he is off
 LEAN_PER_M_S, LEAN_MAX = 0.04, 0.15  # tangent of the lean against each m/s of drift, and its limit
 RATE_MAX_DEG_S = 120.0
-
-Array = NDArray[np.float64]
 
 
 class EyePilot:

@@ -7,9 +7,9 @@ strokes at the receiver's 50 Hz, from rest to rest in each figure.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from neuroflight.sim.arrays import Array
+
 FRAME_S = 0.02  # between two positions of the sticks
 FLIGHT_S = 60.0
 CRUISE_DEG_S = (8.0, 8.0, 10.0)  # standard deviation of the corrections: roll, pitch, yaw
@@ -48,8 +48,7 @@ def stick_strokes(seed: int) -> tuple[Array, Array]:
 
 
 def calm_strokes(seed: int, flight_s: float, sigma_deg_s: float) -> Array:
-    """Draw commanded rates [deg/s] of a flight without aerobatics, normal, each axis of that standard
-    deviation.
+    """Draw commanded rates [deg/s] of a flight without aerobatics: normal, of that standard deviation.
 
     Body frame (N, 3), a row each FRAME_S. Source: Koch 2019, chapter 5, figure 5.15: the commands of its
     pilots over all flights are about normal with 12.4 deg/s.

@@ -19,6 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.control import sticks
 from neuroflight.sim.control.motors import each_fraction, motor_fractions
 from neuroflight.sim.flight.eye_pilot import EyePilot
@@ -121,7 +122,7 @@ class _Rows:
         self._dshot = np.zeros((steps, motors), np.uint16)
         self._throttle = np.zeros(steps, np.float32)
 
-    def put(self, reply: Reply, rate: NDArray[np.float64]) -> None:
+    def put(self, reply: Reply, rate: Array) -> None:
         """Keep the reply and the true rate (3,) [rad/s] of the next control step."""
         step = self.count
         self._setpoint[step] = reply.setpoint
@@ -197,7 +198,7 @@ class _Pilot:
 
 
 def _frames(
-    channels: NDArray[np.uint16], heard: NDArray[np.bool_], frame: Callable[[NDArray[np.uint16]], Frame]
+    channels: NDArray[np.uint16], heard: Flags, frame: Callable[[NDArray[np.uint16]], Frame]
 ) -> list[Frame | None]:
     """Return the frame of each step of a timeline, None where the receiver is silent."""
     changes = (channels[1:] != channels[:-1]).any(axis=1) | (heard[1:] != heard[:-1])

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.rotor import thrust_and_torque
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.toolchain.contract import GRAVITY
-
-Array = NDArray[np.float64]
 
 
 class Motion:

@@ -15,8 +15,7 @@ A file is TOML:
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -24,13 +23,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Flags
 from neuroflight.sim.control import sticks
 from neuroflight.sim.flight.freestyle import FRAME_S, stick_strokes
 from neuroflight.sim.physics.world import Mount
-from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.sim.strict_toml import StrictTable, parse_toml
 from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
 from neuroflight.toolchain.errors import ScenarioError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 
 Rates = tuple[float, float, float]  # roll, pitch, yaw [deg/s]
 STILL: Rates = (0.0, 0.0, 0.0)
@@ -82,7 +82,7 @@ class Scenario:
         """Length of the flight [s]."""
         return sum(segment.duration_s for segment in self.segments)
 
-    def timeline(self, control_rate_hz: int) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+    def timeline(self, control_rate_hz: int) -> tuple[NDArray[np.uint16], Flags]:
         """Return channels [us] (N, CHANNEL_COUNT), and True where the receiver is heard (N,), per step.
 
         Raises ScenarioError on sticks beyond their ends or a flight shorter than one control step.
@@ -226,37 +226,30 @@ def _read(path: Path) -> Scenario:
             f"scenario {str(path)!r}: no such file; give the path of a .toml file or one of: "
             f"{', '.join(BUILDERS)}"
         )
-    size = file_size(path)
-    if size > FILE_BYTES_MAX:
-        raise ScenarioError(f"scenario file {path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
-    return parse_scenario(path.read_bytes(), f"scenario file {path}", path.stem)
+    where = f"scenario file {path}"
+    return parse_scenario(read_limited(path, where, FILE_BYTES_MAX, ScenarioError), where, path.stem)
 
 
 def parse_scenario(data: bytes, where: str, name: str) -> Scenario:
     """Parse the bytes of a scenario file; `where` names it in messages, `name` is its default name."""
-    try:
-        root = StrictTable(tomllib.loads(data.decode()), where, ScenarioError)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{where}: not TOML: {error}") from error
-    name = root.text("name", name)
-    mount = root.choice("mount", {item.value: item for item in Mount}, Mount.CENTRE.value)
-    segments = _segments(root.tables("segment", 1, SEGMENTS_MAX))
-    root.finish()
-    return Scenario(name, segments, mount)
 
-
-def _segments(tables: Sequence[StrictTable]) -> tuple[Segment, ...]:
-    full = RATE_FULL_STICK_DEG_S
-    segments = []
-    for table in tables:
-        segment = Segment(
-            duration_s=table.number("duration_s", SEGMENT_S_MIN, SEGMENT_S_MAX),
-            setpoint_deg_s=table.vector("setpoint_deg_s", -full, full),
-            throttle=table.number("throttle", 0.0, 1.0, 0.0),
-            receiver=table.choice("receiver", {"on": True, "lost": False}, "on"),
-            pid=table.choice("controller", {"policy": False, "pid": True}, "policy"),
-            height_m=table.number("height_m", 0.0, HEIGHT_MAX_M) if table.has("height_m") else None,
+    def scenario(table: StrictTable) -> Scenario:
+        return Scenario(
+            name=table.text("name", name),
+            segments=table.parts("segment", 1, SEGMENTS_MAX, _segment),
+            mount=table.choice("mount", {item.value: item for item in Mount}, Mount.CENTRE.value),
         )
-        table.finish()
-        segments.append(segment)
-    return tuple(segments)
+
+    return StrictTable(parse_toml(data, where, ScenarioError), where, ScenarioError).whole(scenario)
+
+
+def _segment(table: StrictTable) -> Segment:
+    full = RATE_FULL_STICK_DEG_S
+    return Segment(
+        duration_s=table.number("duration_s", SEGMENT_S_MIN, SEGMENT_S_MAX),
+        setpoint_deg_s=table.vector("setpoint_deg_s", -full, full),
+        throttle=table.number("throttle", 0.0, 1.0, 0.0),
+        receiver=table.choice("receiver", {"on": True, "lost": False}, "on"),
+        pid=table.choice("controller", {"policy": False, "pid": True}, "policy"),
+        height_m=table.optional_number("height_m", 0.0, HEIGHT_MAX_M),
+    )

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.toolchain.contract import DSHOT_MAX, MOTOR_COUNT_MAX
 from neuroflight.toolchain.errors import TraceError
 from neuroflight.toolchain.files import replacing
@@ -22,13 +23,13 @@ _MEMBER = ".npy"
 class Trace:
     """A flight of N control steps with M motors; row 0 is the first armed step."""
 
-    t: NDArray[np.float64]  # (N,) [s]
-    setpoint: NDArray[np.float32]  # (N, 3) [rad/s], as the firmware computed it
-    rate: NDArray[np.float64]  # (N, 3) [rad/s], true body rate
-    gyro: NDArray[np.float32]  # (N, 3) [rad/s], what the controller used
-    motors: NDArray[np.float64]  # (N, M) fractions 0..1 as an ESC decodes them
+    t: Array  # (N,) [s]
+    setpoint: Array32  # (N, 3) [rad/s], as the firmware computed it
+    rate: Array  # (N, 3) [rad/s], true body rate
+    gyro: Array32  # (N, 3) [rad/s], what the controller used
+    motors: Array  # (N, M) fractions 0..1 as an ESC decodes them
     dshot: NDArray[np.uint16]  # (N, M) 11-bit values, 0 while disarmed
-    throttle: NDArray[np.float32]  # (N,) pilot's thrust, 0..1
+    throttle: Array32  # (N,) pilot's thrust, 0..1
 
     def __post_init__(self) -> None:
         """Raise TraceError naming the array whose type, shape or content does not fit."""

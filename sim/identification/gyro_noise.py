@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.edit import Changes, Value
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.identification.recording import SAMPLES_MIN, Recording
 from neuroflight.toolchain.contract import AXES
 from neuroflight.toolchain.errors import TraceError
-
-Array = NDArray[np.float64]
 
 POINTS_A_DECADE = 12  # of the Allan deviation
 GROUPS_MIN = 9  # averages in the longest time: the deviation there is known to about a quarter
@@ -41,7 +39,7 @@ class SensorNoise:
     density: Array  # [unit/sqrt(Hz)] of the white part
     instability: Array  # bias instability: the least Allan deviation over `FLICKER`
     instability_s: Array  # [s], averaging time it was found at
-    floor: NDArray[np.bool_]  # False: the record shows no floor, the instability is at most this
+    floor: Flags  # False: the record shows no floor, the instability is at most this
     tau: Array  # (K,) averaging times [s]
     deviation: Array  # (K, 3) Allan deviation
 

@@ -7,14 +7,13 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.gyro_noise import Noise, SensorNoise
 from neuroflight.sim.identification.recording import Recording
 from neuroflight.sim.plotting import AXIS_COLOURS, INK, dress, plain_numbers, titled_figure
 from neuroflight.toolchain.contract import AXES
 
-Array = NDArray[np.float64]
 DASHES = (0, (4, 3))  # of the models
 
 

@@ -1,14 +1,13 @@
 """Drift of an aircraft's links in reduced and in maximal coordinates, after Koch 2019, chapter 5.
 
-The twin is one rigid body, so its parts cannot drift. This module builds the alternative: the airframe and
-each propeller as links of their own, joined by hinges about body z, with each motor turning its propeller.
-Every combination of motors on and off flies from rest, free and without gravity, and the distance of each
-propeller from the airframe is compared with that at the start.
+The twin is one rigid body, so its parts cannot drift. Here airframe and propellers are links of their own on
+hinges about body z. Every combination of motors on and off flies from rest, free and without gravity, and the
+distance of each propeller from the airframe is compared with that at the start.
 
-Reduced coordinates are pybullet's multibody from a URDF (Featherstone): the state is the joints' angles, so
-a link cannot leave its joint. For maximal coordinates pybullet would load the same URDF as separate rigid
-bodies, but then reports only the first link; so the bodies are made one by one, and two ball joints on the
-axis of each propeller make its hinge. The sequential impulse solver holds them together, approximately.
+Reduced coordinates are pybullet's multibody (Featherstone), whose links cannot leave their joints. For
+maximal ones pybullet would load the same URDF as separate bodies, but then reports only the first: so they
+are made one by one, with two ball joints on each propeller's axis, which the impulse solver holds
+approximately.
 """
 
 from __future__ import annotations
@@ -21,17 +20,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import MassProperties, mass_properties, principal
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array, Indices
 from neuroflight.sim.physics.bullet import pybullet
 from neuroflight.sim.physics.rotation import quaternion, roll_pitch_yaw
 from neuroflight.sim.physics.rotor import speeds_along, target_speed, thrust_and_torque
 from neuroflight.toolchain.contract import GYRO_FULL_SCALE_DEG_S
 from neuroflight.toolchain.errors import AircraftError
 
-Array = NDArray[np.float64]
 FORMULATIONS = ("reduced", "maximal")
 STEPS_MS = (2.0, 1.0, 0.5)  # Koch 2019, chapter 5, of maximal coordinates; reduced ones at 1 ms alone
 DURATION_S = 0.5  # of each flight; a racer with two of four motors on is past RATE_MAX in 0.2 s
@@ -50,7 +48,7 @@ class Drift:
 
     formulation: str
     step_s: float
-    flight: NDArray[np.intp]  # (K,), its motors as a binary number, motor 1 first
+    flight: Indices  # (K,), its motors as a binary number, motor 1 first
     rates: Array  # (K, 3) [rad/s], of the airframe about its own roll, pitch and yaw axes
     drift: Array  # (K,) [m], change of distance of the propeller that moved most from the airframe
     separation: Array  # (K,) [m], change of distance of every link from every other, summed
@@ -153,8 +151,7 @@ def _fly(
     step_s: float,
     client: int,
 ) -> tuple[Array, Array]:
-    """Fly; return rates (K, 3) [rad/s] of the airframe about its own axes and places (K, N, 3) [m] of the
-    links.
+    """Fly; return rates (K, 3) [rad/s] of the airframe about its axes and places (K, N, 3) [m] of the links.
 
     The airframe is the first link. One sample at rest, where the links belong, then one after each step,
     until DURATION_S or RATE_MAX.

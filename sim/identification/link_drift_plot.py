@@ -43,9 +43,8 @@ def draw_drift(runs: Sequence[Drift], title: str) -> Figure:
         )
     panel.set_yscale("log")
     panel.set_xlim(0.0, 1.01 * float(np.rad2deg(max(run.rate.max() for run in runs))))
-    panel.set_xlabel("rate of the airframe, deg/s", color=INK)
-    panel.set_ylabel("drift of a propeller, mm", color=INK)
-    dress(panel, "distance of the propellers from the airframe, change since rest")
+    title = "distance of the propellers from the airframe, change since rest"
+    dress(panel, title, "rate of the airframe, deg/s", "drift of a propeller, mm")
     panel.legend(
         loc="center right", frameon=False, fontsize=9.5, ncols=len({run.formulation for run in runs})
     )

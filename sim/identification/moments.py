@@ -1,27 +1,25 @@
 """Identification of moment over inertia, relative to the aircraft file, from a log of motors and gyro.
 
-The logged motor values turn the rotors of the aircraft file, whose moments make angular accelerations: by
-thrust, drag and reaction, and by the rotors' own angular momentum, which couples roll and pitch while yaw is
-turned. The body's moments couple the axes as well, and are what is looked for: the fit is repeated with those
-that it found. Over short windows the accelerations add up to changes of the rate, which the gyro measured.
-The ratio, by least squares an axis, is the factor of moment over inertia. Rates alone cannot tell a weaker
-rotor from a larger inertia.
-
-The margin is the fit's own: of the gyro's noise, not of errors of the file in the rotors' response
-(docs/guides/adaptation.md).
+The logged motor values turn the rotors of the aircraft file, whose moments make angular accelerations. Those
+couple the axes, and so do the body's moments, which are looked for: the fit is repeated with those that it
+found. Over short windows accelerations add up to changes of the rate; their ratio to the measured ones, an
+axis by least squares, is the factor of moment over inertia. Rates alone cannot tell a weaker rotor from a
+larger inertia, and the margin is of the gyro's noise, not of errors of the file (docs/guides/adaptation.md).
 """
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.aircraft.edit import with_key
 from neuroflight.sim.aircraft.model import FILE_BYTES_MAX, Aircraft, aircraft_file, parse_aircraft
 from neuroflight.sim.aircraft.props_out import SUFFIX
 from neuroflight.sim.analysis.confidence import NORMAL
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.blackbox.flight import check_motors
 from neuroflight.sim.blackbox.log import read_log
 from neuroflight.sim.blackbox.units import channels
@@ -30,9 +28,7 @@ from neuroflight.sim.physics.rotor import rotor_geometry, rotor_wrench, speeds_a
 from neuroflight.sim.recorded.log import SUFFIXES, split_number
 from neuroflight.toolchain.contract import AXES
 from neuroflight.toolchain.errors import AircraftError, TraceError
-from neuroflight.toolchain.files import file_size
-
-Array = NDArray[np.float64]
+from neuroflight.toolchain.files import read_limited
 
 SETTLE_S = 0.5  # at the start, where the rotors' speeds are not known: the model has them settled
 WINDOW_S = 0.02  # shorter holds gyro noise, longer holds drag
@@ -190,8 +186,7 @@ def adapted_text(source: str, aircraft: Aircraft, factors: Factors) -> bytes:
             f"{source}: got an aircraft with its propellers out, expected a file to be changed; reverse the "
             f"spins in a copy of {path.name} and name that"
         )
-    file_size(path)
-    text = path.read_bytes()[: FILE_BYTES_MAX + 1].decode()
+    text = read_limited(path, f"aircraft file {path}", FILE_BYTES_MAX, AircraftError).decode()
     moments = np.diag(aircraft.mass_properties.inertia)
     thrust = max(1.0, float(factors.value.max()))
     target = moments / factors.value
@@ -207,29 +202,23 @@ def adapted_text(source: str, aircraft: Aircraft, factors: Factors) -> bytes:
         thrust *= 1.01  # until the added moments are those of a body
     added = np.maximum(added, 1e-12)
     centre = ", ".join(f"{value:.6g}" for value in aircraft.mass_properties.centre)
+    terms = aircraft.propulsion.thrust_coefficient
+    raised = tuple(float(f"{thrust * term:.6g}") for term in terms)
+    why = f" K_T was raised to {thrust:.4g} times." if thrust > 1.0 else ""
     part = (
-        "\n# By `neuroflight adapt`, from a flight: what the whole aircraft turns less than its parts say.\n"
+        "\n# By `neuroflight policy adapt`, from a flight: what the whole aircraft turns less than its parts"
+        f" say.{why}\n"
         '[[part]]\nname = "adapted"\nmass_kg = 1e-6\nposition_m = [0.0, 0.0, 0.0]\nyaw_rad = 0.0\n'
         f"centre_of_mass_m = [{centre}]\n"
         f"inertia_kg_m2 = [{', '.join(f'{value:.6g}' for value in added)}]\n"
     )
     if thrust > 1.0:
-        text = _stronger(text, aircraft, thrust)
+        if "thrust_coefficient" not in tomllib.loads(text)["propulsion"]:
+            raise TraceError(
+                "the aircraft turns more than its file says, and the file gives no thrust_coefficient to "
+                "raise: give it in place of c_t"
+            )
+        text = with_key(text, "propulsion", "thrust_coefficient", raised[0] if len(raised) == 1 else raised)
     data = (text.rstrip("\n") + "\n" + part).encode()
     parse_aircraft(data, f"adapted {path.name}", path.parent)
     return data
-
-
-def _stronger(text: str, aircraft: Aircraft, factor: float) -> str:
-    """Return `text` with its K_T times `factor`. Raises TraceError unless it gives K_T."""
-    terms = [factor * term for term in aircraft.propulsion.thrust_coefficient]
-    value = f"{terms[0]:.6g}" if len(terms) == 1 else f"[{', '.join(f'{term:.6g}' for term in terms)}]"
-    lines = text.splitlines(keepends=True)
-    at = [k for k, line in enumerate(lines) if line.split("=")[0].strip() == "thrust_coefficient"]
-    if len(at) != 1:
-        raise TraceError(
-            "the aircraft turns more than its file says, and the file gives no thrust_coefficient to raise: "
-            "give it in place of c_t"
-        )
-    lines[at[0]] = f"thrust_coefficient = {value} # raised by `neuroflight adapt`\n"
-    return "".join(lines)

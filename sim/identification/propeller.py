@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.advance import AdvanceRatio, Terms, read_advance
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.propeller_tables import Measurements, Static
 from neuroflight.sim.strict_toml import StrictTable
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
 
 DIGITS = 4  # significant, of a coefficient
 LEFT_MAX = 0.3  # part of the thrust at J = 0 at the largest J measured, above which the rest is a guess
@@ -48,11 +46,6 @@ def at_rest(measured: Static) -> tuple[float, float]:
         if not value > 0.0:
             raise DynoError(f"{name} is {value:.3g} at rest, expected above 0; is a column swapped?")
     return thrust, torque
-
-
-def rotor_coefficients(thrust: float, torque: float, diameter: float, density: float) -> tuple[float, float]:
-    """Return K_T [N s^2/rad^2] = C_T rho D^4 / (2 pi)^2 and K_Q [m] = C_Q D / C_T."""
-    return thrust * density * diameter**4 / (2.0 * math.pi) ** 2, torque * diameter / thrust
 
 
 def fit_propeller(measured: Measurements, degree: int = 2) -> PropellerFit:

@@ -21,13 +21,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.advance import RATIO_LAST
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.table import find_table, numbers, read_text
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
 
 FILE_BYTES_MAX = 1 << 20
 ROWS_MAX = 10_000

@@ -21,6 +21,7 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.blackbox.flight import WHOLE, Part, part_rows
 from neuroflight.sim.blackbox.headers import Headers
 from neuroflight.sim.blackbox.log import Frames, Log, list_logs, read_log
@@ -32,8 +33,6 @@ from neuroflight.sim.recorded.sidecar import headers_beside
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import TraceError
 from neuroflight.toolchain.files import file_size
-
-Array = NDArray[np.float64]
 
 BYTES_MAX = 256 << 20  # of a CSV file: more than an hour at 1 kHz; of an .npz file's arrays four times that
 LINE_CHARACTERS_MAX = 1 << 16  # of a heading, and of lines above it

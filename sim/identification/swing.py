@@ -14,23 +14,19 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from neuroflight.sim.analysis.confidence import NORMAL
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.recording import Recording
 from neuroflight.toolchain.contract import AXES, GRAVITY
 from neuroflight.toolchain.errors import TraceError
-
-Array = NDArray[np.float64]
 
 PERIODS_MIN = 5.0
 SAMPLES_A_PERIOD = 40  # samples are averaged down to this: faster ones hold noise, not swing
 PERIOD_MIN_S, PERIOD_MAX_S = 0.05, 30.0
 EXPLAINED_MIN = 0.9  # share of the rate's variance that the sinusoid must explain
-OTHER_MAX = (
-    0.3  # RMS of another axis, of the swinging one's: more is a wobble, or an axis that is not vertical
-)
+OTHER_MAX = 0.3  # RMS of another axis, of the swinging one's: more is a wobble, or no vertical axis
 AMPLITUDE_MAX = math.radians(15.0)  # the period of a bifilar pendulum grows by 0.43 % at it, J by 0.86 %
 DAMPING_MAX = 0.1  # c / w; beyond it drag that grows with the square of the rate would bend the decay
 OUTLIER = 3.0  # times the noise: what is further off counts linearly

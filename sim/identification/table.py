@@ -13,22 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import NeuroflightError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 
-Array = NDArray[np.float64]
 Failure = type[NeuroflightError]
 
-MARKS = (
-    "\t",
-    ";",
-    ",",
-    "|",
-    "  ",
-    " ",
-)  # between cells; two blanks: of headings that have single ones in them
+# Between cells; two blanks: of headings that have single ones in them.
+MARKS = ("\t", ";", ",", "|", "  ", " ")
 LINES_BEFORE_MAX = 200  # above the heading
 COMMENTS = ("#", "//")  # at the begin of a line below the heading
 FOREIGN_MAX = 0.05  # a file that is not UTF-8 is no text if more of its characters are beyond ASCII
@@ -53,13 +46,7 @@ def read_text(path: Path, bytes_max: int, failure: Failure) -> str:
     """
     if not path.is_file():
         raise failure(f"{path}: no such file")
-    try:
-        size = file_size(path)
-        data = path.read_bytes() if size <= bytes_max else b""
-    except OSError as error:
-        raise failure(f"{path}: cannot be read: {error.strerror}") from error
-    if size > bytes_max:
-        raise failure(f"{path}: {size} bytes, expected at most {bytes_max}; log slower or cut it")
+    data = read_limited(path, str(path), bytes_max, failure, "; log slower or cut it")
     utf_16 = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     try:
         text = data.decode("utf-16" if utf_16 else "utf-8-sig")

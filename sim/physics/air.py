@@ -5,48 +5,26 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array, Indices
 from neuroflight.sim.physics.library import library, pointer, random_source, struct
 from neuroflight.toolchain.contract import GRAVITY
 
-Array = NDArray[np.float64]
-
 AIR_DENSITY = 1.225  # [kg/m^3], ISO 2533 standard atmosphere at sea level
 FOOT = 0.3048  # [m]
-# Prop wash: a rotor that sinks about as fast as the air that it drives down is in the vortex ring state,
-# where its thrust fluctuates. v_i = sqrt(T / (2 rho A)) is the velocity that it would induce in hover with
-# its thrust T. How much: up to 95 % of the mean from peak to peak in hundreds of revolutions (Stack,
-# Caradonna, Savas 2004, "Flow Visualizations and Extended Thrust Time Histories of Rotor Vortex Wakes in
-# Descent"): six standard deviations of 0.16. How slow: their rings leave every 20 to 50 revolutions, 3 to 8
-# Hz with an NF1 in hover, and 3 Hz is 0.075 of its v_i / D. Where: growing up to sink rates of 1.2 to 1.3
-# v_i with rotors of 4 to 6 inches (Veismann, Dougherty, Gharib 2023, "Effects of rotor separation on the
-# axial descent performance of dual-rotor configurations"), over at 2 v_i (momentum theory: there the flow
-# through the disk is steady again). Held against one public log, of a 5-inch with barometer and Betaflight
-# 4.3.1: the part of its angular acceleration that its motors do not explain is between 20 and 80 Hz, in the
-# worst tenth of windows of 0.25 s, 0.10 of the thrust at sink rates of 0.8 to 1.2 v_i, 0.07 at 0.4 and at
-# 1.7, 0.02 in climbs. Its density is flat from 10 to 110 Hz, half as large above and two to three times as
-# large from 3 to 10 Hz, which is left out here; v_i / D is 59 Hz there (its weight assumed, 0.72 kg), and
-# that the band grows with it rests on that log alone. What a pilot sees, 20 to 80 Hz, is what a controller
-# leaves of it: slower it holds it, faster the mass does. That sideways motion at 0.95 v_i leaves the wake
-# behind is from memory of the boundary in Johnson 2005, NASA/TP-2005-213477.
+# Prop wash: a rotor that sinks about as fast as the air that it drives down is in the vortex ring state: its
+# thrust fluctuates; v_i = sqrt(T / (2 rho A)) is what it induces in hover with its thrust T. How much: up
+# to 95 % from peak to peak (Stack, Caradonna, Savas 2004), six standard deviations of 0.16. How slow: rings
+# leave every 20 to 50 revolutions, so the 3 Hz of an NF1 are 0.075 of its v_i / D. Where: up to sink rates of
+# 1.2 to 1.3 v_i (Veismann, Dougherty, Gharib 2023), over at 2 v_i by momentum theory. Held against one public
+# log of a 5-inch (docs/explanation/decisions/simulation.md), on which the band's upper end rests alone; from
+# memory of Johnson 2005, NASA/TP-2005-213477: that sideways motion at 0.95 v_i leaves the wake behind.
 WASH_SHARE = 0.15  # standard deviation over the thrust, in the worst descent
 WASH_SINK = (0.1, 2.0)  # over v_i, beyond which it ends; a parabola between
 WASH_SIDEWAYS = 0.95  # over v_i, where it ends
 WASH_BAND = (0.075, 1.8)  # frequencies of half power, over v_i / D of the hover
 ALTITUDE_MIN, ALTITUDE_MAX = 10 * FOOT, 1000 * FOOT  # [m], where MIL-F-8785C's low-altitude model holds
-
-
-def body_drag(air_velocity: Array, drag_area: Array) -> Array:
-    """Compute the drag force on the body [N], (N, 3): -1/2 rho |v| (C_D A) v, each axis with its own C_D A.
-
-    air_velocity: of the body through the air [m/s], (N, 3), body axes. drag_area: C_D A [m^2], (3,).
-    """
-    velocity, area = (np.ascontiguousarray(rows, np.float64) for rows in (air_velocity, drag_area))
-    force = np.empty_like(velocity)
-    library().lib.air_drag(len(velocity), AIR_DENSITY, pointer(velocity), pointer(area), pointer(force))
-    return force
 
 
 def turbulence_scale(altitude: float) -> Array:
@@ -114,7 +92,7 @@ class Wind:
         )
         self.reset(np.arange(count))
 
-    def reset(self, index: NDArray[np.intp]) -> None:
+    def reset(self, index: Indices) -> None:
         """Draw new gusts around the aircraft of `index` from the turbulence's own distribution."""
         if self._steady:
             return
@@ -163,7 +141,7 @@ class Wash:
         )
         self.reset(np.arange(count))
 
-    def reset(self, index: NDArray[np.intp]) -> None:
+    def reset(self, index: Indices) -> None:
         """Draw new noise for the rotors of the aircraft of `index` from its own distribution."""
         self._lag[index], self.noise[index] = self._rng.standard_normal((2, len(index), self._lag.shape[1]))
 
@@ -183,8 +161,7 @@ def _induced_velocity(thrust: float, diameter: float) -> float:
 
 
 def _band_pass(band: tuple[float, float], dt: float) -> tuple[Array, Array]:
-    """Compute matrices (2, 2) of s' = turn s + gain n for white noise n: s[1] is the band-pass's output,
-    variance 1.
+    """Compute matrices (2, 2) of s' = turn s + gain n for white noise n; s[1], variance 1, is the output.
 
     dp/dt = w v, dv/dt = -w p - 2 z w v + noise, over `dt` [s]: `turn` is the exponential without the noise,
     which adds what `turn` takes from the stationary covariance, the unit matrix.

@@ -6,12 +6,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Battery
+from neuroflight.sim.arrays import Array, Indices
 from neuroflight.sim.physics.library import elements, library, pointer, struct
-
-Array = NDArray[np.float64]
 
 # Voltage of a rested LiPo cell over state of charge. Typical: the chart that suppliers of hobby packs print,
 # not a measurement of one pack. Below 0 the cell collapses: what it still gives before 0 V is assumed.
@@ -49,9 +47,7 @@ def open_circuit_voltage(battery: Battery, state_of_charge: Array) -> Array:
 def loaded_voltage(open_circuit: Array, power: Array, resistance: float) -> Array:
     """Compute the voltage V [V] at which a pack gives `power` [W]: P = V I with V = OCV - I R, same shape.
 
-    Of the two solutions the one that small powers reach, V >= OCV / 2. A pack cannot give more than OCV^2 /
-    4R:
-    there V is OCV / 2.
+    Of the two solutions the one that small powers reach, V >= OCV / 2, which is what it can give at most.
     """
     rest, drawn = elements(open_circuit, power)
     voltage = np.empty_like(rest)
@@ -73,7 +69,7 @@ class BatteryState:
         """Charge left, (N,): 1 is full, 0 is empty."""
         return np.asarray(1.0 - self.charge / self.battery.capacity)
 
-    def reset(self, index: NDArray[np.intp], charge: float | Array) -> None:
+    def reset(self, index: Indices, charge: float | Array) -> None:
         """Set the packs of the aircraft of `index` to state of charge `charge`, 0..1, without load.
 
         charge: one for all, or one each, (len(index),). Raises ValueError outside 0..1 (NaN included).

@@ -6,13 +6,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.bullet import pybullet
 from neuroflight.sim.physics.rotation import quaternion, roll_pitch_yaw
 
-Array = NDArray[np.float64]
 GROUND, AIRCRAFT = 1, 2  # collision groups
 
 

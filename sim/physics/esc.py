@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import EscTelemetry
-
-Array = NDArray[np.float64]
+from neuroflight.sim.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

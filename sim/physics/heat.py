@@ -11,11 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Thermal
-
-Array = NDArray[np.float64]
+from neuroflight.sim.arrays import Array, Indices
 
 
 class Heat:
@@ -27,7 +25,7 @@ class Heat:
         self._share = -math.expm1(-dt / thermal.time_constant)  # of the way that a step goes
         self.temperature = np.full(shape, thermal.ambient)  # [degC], (N, M)
 
-    def reset(self, index: NDArray[np.intp]) -> None:
+    def reset(self, index: Indices) -> None:
         """Cool the motors of the aircraft of `index` to ambient."""
         self.temperature[index] = self._thermal.ambient
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Accelerometer, Gyro
+from neuroflight.sim.arrays import Array, Array32, Indices
 from neuroflight.sim.physics.library import assign, library, pointer, random_source, struct
 from neuroflight.toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
-Array = NDArray[np.float64]
 RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # [rad/s], the firmware's
 
 
@@ -31,7 +31,7 @@ def counts(rate: Array) -> NDArray[np.int16]:
     return np.clip(scaled, -GYRO_COUNTS, GYRO_COUNTS - 1).astype(np.int16)
 
 
-def quantised_rate(rate: Array) -> NDArray[np.float32]:
+def quantised_rate(rate: Array) -> Array32:
     """Compute a rate [rad/s] after the chip and the firmware's conversion back, float32."""
     return counts(rate).astype(np.float32) * RATE_PER_COUNT
 
@@ -84,7 +84,7 @@ class _Sensor:
         )
         assign(self.state, **more)
 
-    def reset(self, index: NDArray[np.intp]) -> None:
+    def reset(self, index: Indices) -> None:
         """Start a new episode for the aircraft of `index`: draw a new bias."""
         bias = draw_bias(self._settings, len(index), self._rng)
         self._bias[index] = bias * self._factor[index, None]

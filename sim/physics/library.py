@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neuroflight.sim import compiled
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import BuildError
 
-Array = NDArray[np.float64]
 C = Path(__file__).parent / "c"
 CPU_INFO = Path("/proc/cpuinfo")
 _KINDS = {"float64": "double[]", "int64": "int64_t[]", "int32": "int32_t[]", "bool": "bool[]"}

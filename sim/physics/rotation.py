@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from neuroflight.sim.arrays import Array
+
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
 
-def quaternion(rotation: NDArray[np.float64]) -> Quaternion:
+def quaternion(rotation: Array) -> Quaternion:
     """Compute the unit quaternion of a rotation matrix (3, 3), by its largest component (Shepperd 1978)."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     w2, x2, y2, z2 = 1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i

@@ -11,13 +11,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from neuroflight.sim.aircraft.model import Aircraft, Propulsion, TorqueResponse
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.library import assign, elements, library, pointer, struct
 from neuroflight.sim.physics.rotation import cross_matrix
-
-Array = NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)
@@ -130,11 +129,7 @@ def coefficient(polynomial: tuple[float, ...], speed: ArrayLike) -> Array:
 
 
 def thrust_and_torque(speed: ArrayLike, propulsion: Propulsion) -> tuple[Array, Array]:
-    """Compute thrust [N] and drag torque [N m] of rotors at `speed` [rad/s], any shape: K_T w^2 and K_Q
-    thrust.
-
-    The rotors are at rest in the air, advance ratio 0.
-    """
+    """Compute thrust K_T w^2 [N] and drag torque [N m] of rotors at `speed` [rad/s], in still air."""
     (at,) = elements(speed)
     thrust, torque = np.empty_like(at), np.empty_like(at)
     library().lib.rotor_loads(

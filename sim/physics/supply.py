@@ -6,16 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array, Indices
 from neuroflight.sim.physics.battery import BatteryState, pack_struct
 from neuroflight.sim.physics.esc import Telemetry, telemetry
 from neuroflight.sim.physics.library import assign, library, pointer, struct
 from neuroflight.sim.physics.rotor import propulsion_struct, thrust_and_torque
 from neuroflight.toolchain.errors import AircraftError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +60,7 @@ class Supply:
             self._connect()
 
     def vary(self, charge: Array, torque: Array) -> None:
-        """Set each aircraft's state of charge at reset, NaN for the bench supply, and torque factors; both
-        (N,).
+        """Set each aircraft's charge at reset, NaN for the bench supply, and torque factor; both (N,).
 
         Raises AircraftError for a charge if the aircraft lacks a battery.
         """
@@ -75,7 +72,7 @@ class Supply:
         self._torque[:] = torque
         library().lib.supply_update(self.state, self._count)
 
-    def reset(self, index: NDArray[np.intp]) -> None:
+    def reset(self, index: Indices) -> None:
         """Reset the batteries of the aircraft of `index` to the start, without load."""
         if self._battery is not None:
             charge = self._charge

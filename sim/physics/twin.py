@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import Vector
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array, Indices
 from neuroflight.sim.physics.air import AIR_DENSITY, Wash, Wind
 from neuroflight.sim.physics.battery import BatteryState
-from neuroflight.sim.physics.delay import CommandDelay, bad_command
+from neuroflight.sim.physics.delay import CommandDelay
 from neuroflight.sim.physics.esc import Telemetry
 from neuroflight.sim.physics.heat import Heat
 from neuroflight.sim.physics.imu import AccelerometerModel, GyroModel
@@ -39,7 +40,6 @@ from neuroflight.sim.physics.variation import Variation
 from neuroflight.sim.physics.world import Mount, World
 from neuroflight.toolchain.contract import GRAVITY
 
-Array = NDArray[np.float64]
 CALM: Vector = (0.0, 0.0, 0.0)
 WIND_ALTITUDE = 10.0  # [m], at which gusts are drawn: where such aircraft fly
 
@@ -48,17 +48,28 @@ WIND_ALTITUDE = 10.0  # [m], at which gusts are drawn: where such aircraft fly
 class Live:
     """A twin's state as C keeps it: the arrays that `step`, `measure` and `reset` overwrite."""
 
-    rate: Array
-    rotation: Array
-    velocity: Array
-    position: Array
-    rotor_speed: Array
-    thrust_factor: (
-        Array  # (N, M), of each rotor's thrust by its advance ratio and its wash; 1 where neither acts
-    )
-    specific_force: Array
-    gyro: Array
+    rate: Array  # (N, 3) [rad/s], true, body axes
+    rotation: Array  # (N, 3, 3), attitude as matrices from body to world
+    velocity: Array  # (N, 3) [m/s] of the centre of mass, world axes; zero where the mount holds it
+    position: Array  # (N, 3) [m] of the centre of mass, world axes
+    rotor_speed: Array  # (N, M) [rad/s]
+    thrust_factor: Array  # (N, M), of each rotor's thrust by its advance ratio and wash; 1 without either
+    specific_force: Array  # (N, 3) [m/s^2], body axes; where the centre is held, the rotors' alone
+    gyro: Array  # (N, 3) [rad/s], readings of this sample, body axes, unrounded
+    # Readings of this sample, (N, 3) [m/s^2], body axes. On a mount they include 1 g even if the world has no
+    # gravity: on the rig beside the acceleration of the swing, held at the centre 1 g alone, without noise.
     accelerometer: Array
+
+
+class _Copy:
+    """A copy of the twin's live array of the same name."""
+
+    def __set_name__(self, owner: type[Twin], name: str) -> None:
+        self._name = name
+
+    def __get__(self, twin: Twin, owner: type[Twin]) -> Array:
+        live: Array = getattr(twin.live, self._name)
+        return live.copy()
 
 
 class Twin:
@@ -69,6 +80,9 @@ class Twin:
     same generator state and commands repeat a run exactly. Properties are copies of the state; `live` is the
     state itself, for who reads it at every sample.
     """
+
+    rate, rotation, velocity, position = _Copy(), _Copy(), _Copy(), _Copy()
+    rotor_speed, specific_force, gyro, accelerometer = _Copy(), _Copy(), _Copy(), _Copy()
 
     def __init__(
         self,
@@ -209,50 +223,6 @@ class Twin:
         self._world.close()
 
     @property
-    def rate(self) -> Array:
-        """True body rate [rad/s], (N, 3)."""
-        return self.live.rate.copy()
-
-    @property
-    def rotation(self) -> Array:
-        """Attitude as matrices from body to world, (N, 3, 3)."""
-        return self.live.rotation.copy()
-
-    @property
-    def velocity(self) -> Array:
-        """Velocity of the centre of mass [m/s], world axes, (N, 3); zero where the mount holds it."""
-        return self.live.velocity.copy()
-
-    @property
-    def position(self) -> Array:
-        """Position of the centre of mass [m], world axes, (N, 3)."""
-        return self.live.position.copy()
-
-    @property
-    def rotor_speed(self) -> Array:
-        """Speed of each rotor [rad/s], (N, M)."""
-        return self.live.rotor_speed.copy()
-
-    @property
-    def specific_force(self) -> Array:
-        """Specific force [m/s^2], (N, 3), body axes; where the centre is held, the rotors' alone."""
-        return self.live.specific_force.copy()
-
-    @property
-    def gyro(self) -> Array:
-        """Gyro readings of this sample [rad/s], (N, 3), body axes, unrounded."""
-        return self.live.gyro.copy()
-
-    @property
-    def accelerometer(self) -> Array:
-        """Accelerometer readings of this sample [m/s^2], (N, 3), body axes.
-
-        On a mount they include 1 g even if the world has no gravity: on the rig beside the acceleration of
-        the swing, held at the centre 1 g alone and without noise.
-        """
-        return self.live.accelerometer.copy()
-
-    @property
     def telemetry(self) -> Telemetry:
         """ESC telemetry of this sample, the rotors' thrust and drag torque, temperature of the windings.
 
@@ -287,7 +257,7 @@ class Twin:
         """Differences of each aircraft from its file; None: there are none."""
         return self._variation
 
-    def vary(self, index: NDArray[np.intp], variation: Variation) -> None:
+    def vary(self, index: Indices, variation: Variation) -> None:
         """Change the aircraft of `index` to `variation` (len(index)); `reset` them afterwards.
 
         Raises ValueError if the twin was made without a variation, AircraftError on a charge if the
@@ -310,8 +280,7 @@ class Twin:
         """Reduce each motor's thrust at a command to these shares (M,) from now on: 1 all, 0 none.
 
         A motor turns as much slower as its share takes; a dead one runs down. `reset` does not restore it.
-        Raises
-        ValueError for a wrong shape or a share outside 0..1.
+        Raises ValueError for a wrong shape or a share outside 0..1.
         """
         if shares.shape != (self.aircraft.motor_count,) or not ((shares >= 0.0) & (shares <= 1.0)).all():
             raise ValueError(f"got thrust shares {shares}, expected {self.aircraft.motor_count} of 0 to 1")
@@ -322,10 +291,8 @@ class Twin:
     def load(self, aircraft: Aircraft) -> None:
         """Give all aircraft the mass, its centre and the inertia of `aircraft` from now on, in flight.
 
-        Rates continue without a jump, as with a payload that is fixed to the aircraft, released or moved
-        without
-        a push. For twins held at the centre of mass, without a variation. Raises ValueError for others, and
-        for an
+        Rates continue without a jump, as with a payload that is fixed, released or moved without a push. For
+        twins held at the centre of mass, without a variation. Raises ValueError for others, and for an
         aircraft with other rotors.
         """
         if self.mount is not Mount.CENTRE or self._variation is not None:
@@ -338,12 +305,8 @@ class Twin:
         assign(self._state, rotors=self._rotors)
         self._world.load(aircraft.mass_properties.inertia)
 
-    def reset(self, index: NDArray[np.intp] | None = None) -> None:
-        """Reset to rest, level, rotors and commands zero, with new biases and gusts, the battery as at the
-        start.
-
-        All aircraft, or those of `index`.
-        """
+    def reset(self, index: Indices | None = None) -> None:
+        """Reset all aircraft, or those of `index`: at rest, level, with new biases, gusts and batteries."""
         index = np.arange(self.count) if index is None else index
         self._delay.reset(index)
         self.live.rotor_speed[index] = self._scratch["before"][index] = 0.0
@@ -371,17 +334,17 @@ class Twin:
         pybullet refuses.
         """
         if motors.shape != self._command.shape:
-            self._delay.check_shape(motors)
+            raise ValueError(f"motor commands have shape {motors.shape}, expected {self._command.shape}")
         self._command[:] = motors
         failed = self._step(self._state)
         if failed:
             if failed == library().lib.STEP_BAD_COMMAND:
-                raise bad_command(motors)
+                raise ValueError(f"motor commands are {motors.min()}..{motors.max()}, expected 0..1")
             raise RuntimeError("pybullet refuses a step of the twin; is it closed?")
         if self._heat is not None:
             self._heat.step(self.motor_current)
 
-    def measure(self, which: NDArray[np.intp] | None = None) -> None:
+    def measure(self, which: Indices | None = None) -> None:
         """Draw new sensor readings, also without a step while aircraft are held: of all, or of `which`."""
         if which is None:
             self._measure(self._state, self.count, library().ffi.NULL)

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Which = NDArray[np.intp] | slice
+from neuroflight.sim.arrays import Array, Which
 
 
 @dataclass(frozen=True, eq=False)

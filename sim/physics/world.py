@@ -1,14 +1,9 @@
 """The rigid-body world: N copies of an aircraft in one pybullet client.
 
-pybullet turns and moves the bodies; world.c applies wrenches and keeps the angular momentum. pybullet
-steps the rate by explicit Euler and then turns the body by the new rate, which gains or loses 0.2 % of the
-momentum of a tumbling racer each second. Here pybullet's rate is the one in the middle of a step: the torque
-asked of it is the one whose Euler step ends there, so it turns the body by the step's mean rate. The momentum
-is integrated from the moments, and the rate at a sample follows from momentum and attitude. Without a moment
-the momentum is thus kept to rounding, and energy to second order of the step.
-
-This module makes client and bodies with the package pybullet and hands them to C, which steps them through
-that library's own C functions: bullet.h says how.
+pybullet turns and moves the bodies; world.c applies wrenches and keeps the angular momentum, and says how.
+Without a moment momentum is kept to rounding, and energy to second order of the step; bare pybullet gains or
+loses 0.2 % of a tumbling racer's momentum each second. This module makes client and bodies with the package
+pybullet and hands them to C, which steps them through that library's own C functions (bullet.h).
 
 The copies do not touch each other; with `ground` each can touch the plane z = 0.
 """
@@ -21,9 +16,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array, Indices
 from neuroflight.sim.physics.bodies import (
     AIRCRAFT,
     GROUND,
@@ -38,7 +33,6 @@ from neuroflight.sim.physics.rotation import cross_matrix, quaternion
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import AircraftError, BuildError
 
-Array = NDArray[np.float64]
 COUNT_MAX = 4096
 RATE_MAX = 1e5  # [rad/s], in place of pybullet's limit of 100
 FRICTION = 0.6  # of the ground; grass and asphalt lie on either side
@@ -193,7 +187,7 @@ class World:
         self.rate[which] = rates
         self.body_velocity[which] = self.velocity[which] = rates @ self._swing
 
-    def vary(self, index: NDArray[np.intp], mass: Array, inertia: Array) -> None:
+    def vary(self, index: Indices, mass: Array, inertia: Array) -> None:
         """Set mass and moments of inertia of the aircraft of `index`: factors of the file's, (len,) each.
 
         The moments are those about the centre of mass, which stays. Resting aircraft only: `reset` them.

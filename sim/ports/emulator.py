@@ -82,25 +82,6 @@ class PortSnapshot:
     port: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class _Status:
-    """The part of the firmware's status read at each control step: views of one row each."""
-
-    state: NDArray[Any]
-    armed: NDArray[Any]
-    step: NDArray[Any]
-    setpoint: NDArray[Any]
-    gyro: NDArray[Any]
-    throttle: NDArray[Any]
-
-    @classmethod
-    def of(cls, status: NDArray[Any]) -> _Status:
-        """Make the views of `status`, shape (1,), as it lies in the board's memory."""
-        trace = status["trace"]
-        last = {name: trace[name] for name in ("armed", "step", "setpoint", "gyro", "throttle")}
-        return cls(state=status["state"], **last)
-
-
 class EmulatedPort:
     """A FirmwarePort around a board of its own. A fault of the board is raised as BoardError, a LinkError."""
 
@@ -163,7 +144,9 @@ class EmulatedPort:
         try:
             self._gyro = self.board.hardware.gyro
             self._taken = self._seen(_SAMPLES)
-            self._status = _Status.of(self._seen(_STATUS))
+            status = self._seen(_STATUS)  # what of it is read at each control step: views of one row each
+            self._state_view, trace = status["state"], status["trace"]
+            self._last = {name: trace[name] for name in ("armed", "step", "setpoint", "gyro", "throttle")}
             self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
             self._run_to = attach(self.board)
             self._inject()
@@ -253,20 +236,16 @@ class EmulatedPort:
         self.board.hardware.adc.set_battery(volts, amps)
 
     def arming_reasons(self) -> tuple[str, ...]:
-        """See FirmwarePort."""
         return arming_reasons(int(self._read(_STATUS)["arming_reasons"])) if self._up else ()
 
     def refused(self) -> FallbackCause:
-        """See PolicyPort."""
         return FallbackCause(int(self._read(_STATUS)["refused_cause"])) if self._up else FallbackCause.NONE
 
     def logged(self) -> Logged:
-        """See BlackboxPort."""
         phase, frames, dropped, count = (int(self._read(name)) for name in _LOG)
         return Logged(phase != 0, frames, dropped, count)
 
     def close(self) -> None:
-        """Give the board's memory back."""
         self.board.close()
 
     @property
@@ -335,18 +314,18 @@ class EmulatedPort:
 
     def _told(self, values: NDArray[np.uint16]) -> Reply:
         """Read the firmware's last control step."""
-        told = self._status
-        armed = bool(told.armed[0])
+        told = self._last
+        armed = bool(told["armed"][0])
         if armed and self._armed_at is None:
             self._armed_at = self._samples - 1
             self._plan.start(self._armed_at)
-        self._note_state(int(told.state[0]), armed)
+        self._note_state(int(self._state_view[0]), armed)
         return Reply(
             dshot=values,
-            step=int(told.step[0]),
-            setpoint=told.setpoint[0].astype(np.float32),
-            gyro=told.gyro[0].astype(np.float32),
-            throttle=float(told.throttle[0]),
+            step=int(told["step"][0]),
+            setpoint=told["setpoint"][0].astype(np.float32),
+            gyro=told["gyro"][0].astype(np.float32),
+            throttle=float(told["throttle"][0]),
             armed=armed,
         )
 
@@ -389,7 +368,6 @@ class EmulatedPort:
             self._state = FlightState.BOOT
 
     def _inject(self) -> None:
-        """Inject the faults that are due."""
         for what in self._plan.inject(self.board, self._samples):
             self._events.append((self._samples, what, False))
 

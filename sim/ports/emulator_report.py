@@ -7,12 +7,12 @@ from pathlib import Path
 
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.core.engine import Note
-from neuroflight.sim.board.debug.profile import TaskCount, task_counts
+from neuroflight.sim.board.debug.profile import task_counts
 from neuroflight.sim.board.devices.gyro_chip import READY
 from neuroflight.sim.board.registers.bus import load_table
 from neuroflight.sim.ports.emulator import EmulatedPort, Event
 
-GYRO_EDGE = 16 + load_table().interrupt(f"EXTI{READY[2:]}")  # exception number
+GYRO_EDGE = 16 + load_table().interrupt(f"EXTI{READY[2:]}")  # exception of the data-ready edge's handler
 _US = 1e6 / TIME_HZ
 
 
@@ -39,7 +39,6 @@ class EmulatedReport:
 
     @property
     def outcome(self) -> str:
-        """Outcome in words."""
         if self.stopped_s is None:
             return "flown, disarmed"
         what = next(event.what for event in self.events if event.stops)
@@ -52,7 +51,8 @@ def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: fl
     flight_s: length of its scenario; took_s: elapsed real time, with the boot, the twin and all else.
     """
     report = port.board.report()
-    edge, card = _task(port), port.board.hardware.card_slot.card
+    edge = next((task for task in task_counts(port.board.engine) if task.exception == GYRO_EDGE), None)
+    card = port.board.hardware.card_slot.card
     stops = [event.at_s for event in port.events if event.stops]
     return EmulatedReport(
         image=str(image),
@@ -72,8 +72,3 @@ def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: fl
         waiting=tuple(str(fault) for fault in port.waiting),
         notes=report.notes,
     )
-
-
-def _task(port: EmulatedPort) -> TaskCount | None:
-    """Return the count of the data-ready edge's handler."""
-    return next((task for task in task_counts(port.board.engine) if task.exception == GYRO_EDGE), None)

@@ -20,21 +20,12 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from neuroflight.flash.link import messages, records
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.transport import TcpPort, TcpTransport
-from neuroflight.flash.logs.messages import log_info
+from neuroflight.sim.arrays import Indices
 from neuroflight.sim.control.motors import each_fraction
-from neuroflight.sim.ports.port import (
-    Logged,
-    Reply,
-    Sample,
-    control_divider,
-    flight_settings,
-    setting_changes,
-)
+from neuroflight.sim.ports.port import AskedPort, Reply, Sample, flight_settings, setting_changes
 from neuroflight.sim.ports.simulator_link import (
     LOOPBACK,
     PACKET_BYTES_MAX,
@@ -52,8 +43,6 @@ from neuroflight.toolchain.contract import (
     SIM_TRACE_FLAG_ARMED,
     SIM_TRACE_FORMAT,
     SIM_TRACE_MAGIC,
-    FallbackCause,
-    Msp,
 )
 from neuroflight.toolchain.errors import LinkError
 
@@ -75,7 +64,7 @@ _TRACE_DSHOT = _TRACE.size - 2 * MOTOR_COUNT_MAX  # where they begin
 _PACKETS = ("motor packet", "trace packet")  # in the order of api.h
 
 
-class HostPort:
+class HostPort(AskedPort):
     """FirmwarePort around a host program of its own, which ends with the port."""
 
     def __init__(
@@ -111,13 +100,8 @@ class HostPort:
             self._state, self._receiver, self._power = (undo.enter_context(udp_socket()) for _ in range(3))
             self._state.connect((LOOPBACK, self._child.ports["state"]))
             self._receiver.connect((LOOPBACK, self._child.ports["receiver"]))
-            with self._msp() as msp:
-                policy = messages.policy_info(msp.request(Msp.POLICY_INFO))
-            self.motor_count = policy.action_count
-            self._motors_of = _motors_of_outputs(wanted, policy.action_count)  # traces tell motors
-            self.gyro_rate_hz = gyro_rate_hz
-            self.control_rate_hz = policy.control_rate_hz
-            self._divider = control_divider(gyro_rate_hz, policy.control_rate_hz)
+            self._ask_policy(gyro_rate_hz)
+            self._motors_of = _motors_of_outputs(wanted, self.motor_count)  # traces tell motors
             self._close = undo.pop_all()
         self._wire = self._joined()
         self._channels = self._ffi.new("uint16_t[]", CHANNEL_COUNT)
@@ -128,7 +112,6 @@ class HostPort:
         self._fractions: list[float] = []  # of the reply
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
-        """See FirmwarePort."""
         if sample is not self._sample:
             self._sample, self._values = sample, self._ffi.from_buffer("double[]", sample.values)
         channels = self._ffi.NULL
@@ -143,31 +126,13 @@ class HostPort:
         return self._reply
 
     def set_battery(self, volts: float, amps: float) -> None:
-        """See BatteryPort."""
         packet = _POWER.pack(SIM_POWER_MAGIC, self._samples / self.gyro_rate_hz, volts, amps, 0.0)
         try:
             self._power.sendto(packet, (LOOPBACK, self._child.ports["power"]))
         except OSError as error:
             raise self._child.lost(str(error)) from error
 
-    def arming_reasons(self) -> tuple[str, ...]:
-        """See FirmwarePort; asked over MSP."""
-        with self._msp() as msp:
-            return messages.arming_reasons(records.safety(msp.request(Msp.SAFETY)).arming_flags)
-
-    def refused(self) -> FallbackCause:
-        """See PolicyPort; asked over MSP."""
-        with self._msp() as msp:
-            return records.safety(msp.request(Msp.SAFETY)).refused_cause
-
-    def logged(self) -> Logged:
-        """See BlackboxPort; asked over MSP."""
-        with self._msp() as msp:
-            info = log_info(msp.request(Msp.LOG_INFO))
-        return Logged(info.logging, info.frames, info.dropped, info.bytes)
-
     def close(self) -> None:
-        """See FirmwarePort."""
         self._close.close()
 
     @property
@@ -254,7 +219,7 @@ class HostPort:
         )
 
 
-def _motors_of_outputs(settings: Mapping[str, float], motors: int) -> NDArray[np.intp]:
+def _motors_of_outputs(settings: Mapping[str, float], motors: int) -> Indices:
     """Return the motor that is wired to each output."""
     outputs = [settings.get(f"motor{motor}_output", motor) for motor in range(1, motors + 1)]
     return np.argsort(outputs)

@@ -10,20 +10,11 @@ from typing import Any
 
 import numpy as np
 from cffi import FFI
-from numpy.typing import NDArray
 
-from neuroflight.flash.link import messages, records
 from neuroflight.flash.link.client import Client
-from neuroflight.flash.logs.messages import log_info
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.compiled import contract_declarations
-from neuroflight.sim.ports.port import (
-    Logged,
-    Reply,
-    Sample,
-    control_divider,
-    flight_settings,
-    setting_changes,
-)
+from neuroflight.sim.ports.port import AskedPort, Reply, Sample, flight_settings, setting_changes
 from neuroflight.sim.structs import struct_declaration
 from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
@@ -31,9 +22,7 @@ from neuroflight.toolchain.contract import (
     MOTOR_COUNT_MAX,
     MSP_PAYLOAD_MAX,
     STRUCTS,
-    FallbackCause,
     FirmwareError,
-    Msp,
 )
 from neuroflight.toolchain.contract.policy_format import struct_format
 from neuroflight.toolchain.errors import LinkError
@@ -91,7 +80,7 @@ class Reference:
         """Set voltage [V] and current [A] of the battery, and the duration of each control step [us]."""
         self._library.reference_power(self._self, volts, amps, control_us)
 
-    def sample(self, gyro: NDArray[np.float64], specific_force: NDArray[np.float64]) -> bytes:
+    def sample(self, gyro: Array, specific_force: Array) -> bytes:
         """Take one sample of gyro (3,) [rad/s] and accelerometer (3,) [m/s^2], body axes.
 
         Returns the DShot values as uint16 bytes.
@@ -100,7 +89,7 @@ class Reference:
         self._take()
         return self._dshot.tobytes()
 
-    def sampler(self, measured: NDArray[np.float64]) -> Callable[[], bool]:
+    def sampler(self, measured: Array) -> Callable[[], bool]:
         """Return a function that takes a sample from `measured` at each call and returns whether DShot values
         changed.
 
@@ -111,7 +100,6 @@ class Reference:
         return partial(self._library.reference_sample, self._self, gyro, gyro + 3, self._outputs)
 
     def dshot(self) -> bytes:
-        """Return the DShot values as uint16 bytes."""
         return self._dshot.tobytes()
 
     def blackbox(self) -> bytes:
@@ -143,7 +131,6 @@ class Reference:
         return bytes(reply[: self._library.reference_link(self._self, port, data, len(data), told, capacity)])
 
     def link_reset(self, port: int) -> None:
-        """Tell that another peer is on that port."""
         self._library.reference_link_reset(self._self, port)
 
     def write(self, data: bytes) -> None:
@@ -159,7 +146,7 @@ class Reference:
         """Do nothing: the memory is Python's."""
 
 
-class ReferencePort:
+class ReferencePort(AskedPort):
     """FirmwarePort around the library: the fastest way to fly the firmware bit for bit."""
 
     def __init__(
@@ -170,18 +157,13 @@ class ReferencePort:
     ) -> None:
         """Boot a fresh firmware. Raises LinkError as Reference does."""
         self.reference = Reference(library, gyro_rate_hz, flight_settings(settings))
-        policy = messages.policy_info(Client(self.reference).request(Msp.POLICY_INFO))
-        self.motor_count = policy.action_count
-        self.gyro_rate_hz = gyro_rate_hz
-        self.control_rate_hz = policy.control_rate_hz
-        self._divider = control_divider(self.gyro_rate_hz, self.control_rate_hz)
+        self._ask_policy(gyro_rate_hz)
         self._until_control = 0
         self._sample: Sample | None = None  # whose values `_take` takes
         self._take: Callable[[], bool]
         self._reply: Reply | None = None
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
-        """See FirmwarePort."""
         if channels_us is not None:
             self.reference.receiver(channels_us)
         if sample is not self._sample:
@@ -193,26 +175,13 @@ class ReferencePort:
         return self._reply
 
     def set_battery(self, volts: float, amps: float) -> None:
-        """See BatteryPort."""
         self.reference.power(volts, amps)
 
-    def arming_reasons(self) -> tuple[str, ...]:
-        """See FirmwarePort; asked over MSP."""
-        safety = records.safety(Client(self.reference).request(Msp.SAFETY))
-        return messages.arming_reasons(safety.arming_flags)
-
-    def refused(self) -> FallbackCause:
-        """See PolicyPort; asked over MSP."""
-        return records.safety(Client(self.reference).request(Msp.SAFETY)).refused_cause
-
-    def logged(self) -> Logged:
-        """See BlackboxPort; asked over MSP."""
-        info = log_info(Client(self.reference).request(Msp.LOG_INFO))
-        return Logged(info.logging, info.frames, info.dropped, info.bytes)
-
     def close(self) -> None:
-        """See FirmwarePort."""
         self.reference.close()
+
+    def _msp(self) -> Client:
+        return Client(self.reference)
 
     def _read(self) -> Reply:
         step, setpoint, gyro, throttle, armed, *_ = _REPLY.unpack_from(self.reference.trace_bytes())

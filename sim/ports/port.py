@@ -9,8 +9,12 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.flash.link import messages, records
+from neuroflight.flash.link.client import Client
+from neuroflight.flash.logs.messages import log_info
 from neuroflight.sim.aircraft.model import Aircraft
-from neuroflight.toolchain.contract import AXES, BOOT_GRACE_MS, RATE_FULL_STICK_DEG_S, FallbackCause
+from neuroflight.sim.arrays import Array, Array32
+from neuroflight.toolchain.contract import AXES, BOOT_GRACE_MS, RATE_FULL_STICK_DEG_S, FallbackCause, Msp
 from neuroflight.toolchain.errors import LinkError
 
 
@@ -26,11 +30,11 @@ class Sample:
     def __init__(
         self,
         time_s: float,
-        gyro: NDArray[np.float64],
-        rotation: NDArray[np.float64],
-        velocity: NDArray[np.float64],
-        position: NDArray[np.float64],
-        specific_force: NDArray[np.float64],
+        gyro: Array,
+        rotation: Array,
+        velocity: Array,
+        position: Array,
+        specific_force: Array,
     ) -> None:
         """Copy the arrays, of the shapes below."""
         self.values = values = np.empty(21)
@@ -44,7 +48,6 @@ class Sample:
         self.velocity[:], self.position[:] = velocity, position
 
     def copy(self) -> Sample:
-        """Copy the sample."""
         return Sample(
             self.time_s, self.gyro, self.rotation, self.velocity, self.position, self.specific_force
         )
@@ -56,8 +59,8 @@ class Reply:
 
     dshot: NDArray[np.uint16]  # (M,) values of 11 bits, by output
     step: int  # number of the control step, rising by one
-    setpoint: NDArray[np.float32]  # (3,) [rad/s], from the sticks
-    gyro: NDArray[np.float32]  # (3,) [rad/s], as the controller used it
+    setpoint: Array32  # (3,) [rad/s], from the sticks
+    gyro: Array32  # (3,) [rad/s], as the controller used it
     throttle: float  # pilot's thrust, 0..1
     armed: bool
 
@@ -80,15 +83,12 @@ class FirmwarePort(Protocol):
 
         channels_us: CHANNEL_COUNT pulse widths [us], only ever given at a control step.
         """
-        ...
 
     def arming_reasons(self) -> tuple[str, ...]:
         """Return the names of the reasons against arming; empty if there are none or the port cannot tell."""
-        ...
 
     def close(self) -> None:
         """End the firmware. May be called twice."""
-        ...
 
 
 @runtime_checkable
@@ -100,7 +100,6 @@ class SerialReceiverPort(FirmwarePort, Protocol):
 
         Frames are announced in order, each before its exchange.
         """
-        ...
 
 
 @runtime_checkable
@@ -109,7 +108,6 @@ class BatteryPort(FirmwarePort, Protocol):
 
     def set_battery(self, volts: float, amps: float) -> None:
         """Set the battery's voltage at its terminals [V] and the current out of it [A] from now on."""
-        ...
 
 
 class PolicyPort(FirmwarePort, Protocol):
@@ -117,7 +115,6 @@ class PolicyPort(FirmwarePort, Protocol):
 
     def refused(self) -> FallbackCause:
         """Return why the policy must not fly any more; NONE: it may."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -136,7 +133,40 @@ class BlackboxPort(FirmwarePort, Protocol):
 
     def logged(self) -> Logged:
         """Return the state of its log, between two exchanges."""
-        ...
+
+
+class AskedPort:
+    """The answers of a firmware that is asked over MSP, as its ports give them."""
+
+    motor_count: int
+    gyro_rate_hz: int
+    control_rate_hz: int
+    _divider: int  # gyro samples in a control step
+
+    def _msp(self) -> Client:
+        """Open a client on the firmware's MSP link."""
+        raise NotImplementedError
+
+    def _ask_policy(self, gyro_rate_hz: int) -> None:
+        """Ask for motors and rates of the firmware's policy."""
+        with self._msp() as msp:
+            policy = messages.policy_info(msp.request(Msp.POLICY_INFO))
+        self.motor_count, self.control_rate_hz = policy.action_count, policy.control_rate_hz
+        self.gyro_rate_hz = gyro_rate_hz
+        self._divider = control_divider(gyro_rate_hz, policy.control_rate_hz)
+
+    def arming_reasons(self) -> tuple[str, ...]:
+        with self._msp() as msp:
+            return messages.arming_reasons(records.safety(msp.request(Msp.SAFETY)).arming_flags)
+
+    def refused(self) -> FallbackCause:
+        with self._msp() as msp:
+            return records.safety(msp.request(Msp.SAFETY)).refused_cause
+
+    def logged(self) -> Logged:
+        with self._msp() as msp:
+            info = log_info(msp.request(Msp.LOG_INFO))
+        return Logged(info.logging, info.frames, info.dropped, info.bytes)
 
 
 def twin_settings(aircraft: Aircraft) -> dict[str, float]:

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array32
 from neuroflight.sim.control import sticks
 from neuroflight.sim.control.battery_voltage import BatteryVoltage
 from neuroflight.sim.control.controller import Controller
@@ -79,7 +80,6 @@ class ControllerPort:
         self._reply: Reply | None = None
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
-        """See FirmwarePort."""
         if self._samples < self._calibration:
             self._still[self._samples] = sample.gyro
             if self._samples == self._calibration - 1:
@@ -96,7 +96,6 @@ class ControllerPort:
         return self._reply
 
     def set_battery(self, volts: float, amps: float) -> None:
-        """See BatteryPort."""
         self._volts = volts
 
     def arming_reasons(self) -> tuple[str, ...]:
@@ -107,12 +106,11 @@ class ControllerPort:
         """See FirmwarePort."""
 
     def _hear(self, channels: NDArray[np.uint16]) -> None:
-        """Process a receiver frame."""
         self._channels = channels
         self._setpoint = sticks.setpoint(channels)
         self._throttle = sticks.throttle(channels[None])
 
-    def _control(self, gyro: NDArray[np.float32], step: int) -> Reply:
+    def _control(self, gyro: Array32, step: int) -> Reply:
         setpoint = np.zeros(3, np.float32) if self._age >= self._hold else self._setpoint
         throttle = self._throttle
         self._arm()

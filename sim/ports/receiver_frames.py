@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from neuroflight.flash.link.msp import crc8_dvb_s2
 from neuroflight.sim.board.peripherals.usart import CRSF, SBUS, Format
 from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
-    CRC8_DVB_S2_POLY,
     CRSF_SYNC,
     CRSF_TYPE_CHANNELS,
     SBUS_FOOTER,
@@ -33,7 +33,7 @@ def sbus_frame(channels_us: Sequence[int]) -> bytes:
 def crsf_frame(channels_us: Sequence[int]) -> bytes:
     """Encode the CRSF frame for CHANNEL_COUNT pulse widths [us], which it carries as SBUS does."""
     body = bytes([CRSF_TYPE_CHANNELS]) + _packed(channels_us)
-    return bytes([CRSF_SYNC, len(body) + 1]) + body + bytes([_crc8(body)])
+    return bytes([CRSF_SYNC, len(body) + 1]) + body + bytes([crc8_dvb_s2(body)])
 
 
 def _packed(channels_us: Sequence[int]) -> bytes:
@@ -44,16 +44,6 @@ def _packed(channels_us: Sequence[int]) -> bytes:
     for number, us in enumerate(channels_us):
         bits |= min(max(us - _ZERO_US, 0) * 8 // 5, _VALUE_MAX) << _BITS * number
     return bits.to_bytes(CHANNEL_COUNT * _BITS // 8, "little")
-
-
-def _crc8(data: bytes) -> int:
-    """Compute CRC-8/DVB-S2: no reflection, begins with 0."""
-    crc = 0
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1 ^ (CRC8_DVB_S2_POLY if crc & 0x80 else 0)) & 0xFF
-    return crc
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ logs its setpoints, so that theirs are taken as they are.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.blackbox.flight import WHOLE, Part, part_rows
 from neuroflight.sim.blackbox.sticks import RATE_MOST_DEG_S, beyond, check
 from neuroflight.sim.control import sticks
@@ -32,9 +33,9 @@ class Commands:
     """
 
     name: str  # of the file, without its suffix
-    time: NDArray[np.float64]  # (N,) [s], rising
-    setpoint: NDArray[np.float64]  # (N, 3) [deg/s], body frame, within full stick
-    throttle: NDArray[np.float64]  # (N,) pilot's thrust, 0..1
+    time: Array  # (N,) [s], rising
+    setpoint: Array  # (N, 3) [deg/s], body frame, within full stick
+    throttle: Array  # (N,) pilot's thrust, 0..1
     notes: tuple[str, ...] = ()  # what the user must know of how they were read, a sentence each
     first_row: int = 0  # row of the recording that they begin with
     since_s: float = 0.0  # seconds of the recording before them
@@ -108,37 +109,21 @@ class Commands:
         return Scenario(self.name, segments, Mount.CENTRE if mount is None else mount)
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """N rows of commands as a file has them, which may be of any kind."""
+def part_of(
+    where: str, whole: Sequence[Array], part: Part, name: str, notes: Sequence[str] = (), *, cut: bool
+) -> Commands:
+    """Return the commands of a part of a recording, seconds since its first row; notes, cut: see Commands.
 
-    name: str  # of the file, without its suffix
-    where: str  # names the file in messages
-    time: NDArray[np.float64]  # (N,) [s]
-    setpoint: NDArray[np.float64]  # (N, 3) [deg/s]
-    throttle: NDArray[np.float64]  # (N,)
-    notes: tuple[str, ...] = ()
-
-
-def part_of(whole: Recording, part: Part, *, cut: bool = False) -> Commands:
-    """Return the commands of a part of a recording, seconds since its first row; cut: see Commands.
-
-    Raises ScenarioError.
+    where: names the file in messages; whole: time (N,) [s], setpoint (N, 3) [deg/s] and throttle (N,) as the
+    file has them, of any kind. Raises ScenarioError.
     """
-    rows = slice(0, len(whole.time))
+    time = whole[0]
+    rows = slice(0, len(time))
     try:
-        if part != WHOLE and len(whole.time):
-            rows = part_rows(whole.name, whole.time - whole.time[0], part)
-        since_s = float(whole.time[rows.start] - whole.time[0]) if rows.start else 0.0
-        return Commands(
-            whole.name,
-            whole.time[rows],
-            whole.setpoint[rows],
-            whole.throttle[rows],
-            whole.notes,
-            rows.start,
-            since_s,
-            cut,
-        )
+        if part != WHOLE and len(time):
+            rows = part_rows(name, time - time[0], part)
+        since_s = float(time[rows.start] - time[0]) if rows.start else 0.0
+        time, setpoint, throttle = (column[rows] for column in whole)
+        return Commands(name, time, setpoint, throttle, tuple(notes), rows.start, since_s, cut)
     except (ScenarioError, TraceError) as error:
-        raise ScenarioError(f"{whole.where}: {str(error).removeprefix(f'{whole.name}: ')}") from error
+        raise ScenarioError(f"{where}: {str(error).removeprefix(f'{name}: ')}") from error

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.blackbox.flight import WHOLE, Part
 from neuroflight.sim.blackbox.sticks import TELL_RATES
 from neuroflight.sim.flight.scenario import Scenario, load_scenario
 from neuroflight.sim.physics.world import Mount
-from neuroflight.sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
+from neuroflight.sim.recorded.commands import ROWS_MAX, Commands, part_of
 from neuroflight.sim.recorded.log import SUFFIXES as LOG_SUFFIXES
 from neuroflight.sim.recorded.log import read_commands, split_number
 from neuroflight.sim.recorded.sidecar import headers_beside
@@ -112,10 +112,10 @@ def _from_arrays(path: Path, where: str, part: Part, *, cut: bool) -> Commands:
     except _DAMAGED as error:
         reason = " ".join(str(error).split())
         raise ScenarioError(f"{where}: damaged or no .npz file ({reason}); record it anew") from error
-    return part_of(Recording(path.stem, where, time, setpoint, throttle), part, cut=cut)
+    return part_of(where, (time, setpoint, throttle), part, path.stem, cut=cut)
 
 
-def _array(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[np.float64]:
+def _array(archive: np.lib.npyio.NpzFile, name: str, where: str) -> Array:
     """Read an array as float64, refused before it is unpacked if it is too large."""
     assert archive.zip is not None  # it is open
     size = archive.zip.getinfo(f"{name}.npy").file_size

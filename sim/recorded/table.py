@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.blackbox.firmware import firmware, has_box_mask
 from neuroflight.sim.blackbox.flight import WHOLE, Part
 from neuroflight.sim.blackbox.proof import choose
@@ -39,7 +39,7 @@ from neuroflight.sim.blackbox.sticks import (
     is_stick,
     throttle_range,
 )
-from neuroflight.sim.recorded.commands import ROWS_MAX, Commands, Recording, part_of
+from neuroflight.sim.recorded.commands import ROWS_MAX, Commands, part_of
 from neuroflight.toolchain.contract import CHANNEL_MAX_US, CHANNEL_MIN_US
 from neuroflight.toolchain.errors import ScenarioError
 
@@ -63,8 +63,6 @@ THROTTLES = {
     "setpoint[3]": (0.0, 1000.0),
     "rcCommand[3]": (CHANNEL_MIN_US, CHANNEL_MAX_US),
 }
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 EXPECTED = f"t_s, {', '.join(PLAIN)}, or time (us), setpoint[0], setpoint[1], setpoint[2] of a Betaflight log"
 
@@ -132,16 +130,16 @@ def parse_table(
         flown = throttle >= AIRBORNE
         rates, note = _by_rates(rates, gyro, flown, time, columns.settings, level, where, told=chosen)
         notes = (f"{where}: {note}",)
-    return part_of(Recording(name, where, time, rates, throttle, notes), part, cut=cut)
+    return part_of(where, (time, rates, throttle), part, name, notes, cut=cut)
 
 
 def _by_rates(
     sticks: Array,
     gyro: Array | None,
-    flown: Rows,
+    flown: Flags,
     time: Array,
     settings: Mapping[str, str],
-    level: Rows,
+    level: Flags,
     where: str,
     *,
     told: bool,
@@ -207,7 +205,7 @@ def _columns(heading: Sequence[str], settings: Mapping[str, str]) -> _Columns | 
     return None
 
 
-def _values(rows: Reader, heading: Sequence[str], columns: _Columns, where: str) -> tuple[Array, Rows]:
+def _values(rows: Reader, heading: Sequence[str], columns: _Columns, where: str) -> tuple[Array, Flags]:
     """Return the cells of the number columns (N, ..), and whether a mode flag commands an angle (N,)."""
     names = columns.names
     order = [heading.index(each) for each in names]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Flags
 from neuroflight.sim.replay.inputs import Answers, Flight
 
 EXACT = ("gyro", "setpoint", "throttle")  # compared where the log has them to the bit
@@ -36,20 +37,16 @@ class Comparison:
 
     @property
     def equal(self) -> bool:
-        """True if nothing differs."""
         return self.first is None
 
     def __str__(self) -> str:
-        """Format the result, a line or two."""
         if self.first is None:
             beside = f"; so are {', '.join(self.exact)} to the bit" if self.exact else ""
             return f"{self.steps:,} control steps, {self.values:,} values, equal{beside}"
         first = self.first
-        motors = (
-            "motors equal there"
-            if first.logged == first.replayed
-            else (f"motors logged {_list(first.logged)}, replayed {_list(first.replayed)}")
-        )
+        logged, replayed = (" ".join(map(str, values)) for values in (first.logged, first.replayed))
+        same = logged == replayed
+        motors = "motors equal there" if same else f"motors logged {logged}, replayed {replayed}"
         beside = f"; {', '.join(first.exact)} differ{'s' * (len(first.exact) == 1)}" if first.exact else ""
         return (
             f"differs first at control step {first.step:,}, {first.at_s:.3f} s: {motors}{beside}\n"
@@ -78,12 +75,8 @@ def compare(flight: Flight, replayed: Answers) -> Comparison:
     return Comparison(len(flight), logged.dshot.size, int(motors.sum()), tuple(known), first)
 
 
-def _differs(logged: NDArray[Any], replayed: NDArray[Any]) -> NDArray[np.bool_]:
+def _differs(logged: NDArray[Any], replayed: NDArray[Any]) -> Flags:
     """Return True for rows (N,) whose bits differ."""
     bits = logged.view(np.uint32) != replayed.view(np.uint32)
-    rows: NDArray[np.bool_] = bits.reshape(len(logged), -1).any(axis=1)
+    rows: Flags = bits.reshape(len(logged), -1).any(axis=1)
     return rows
-
-
-def _list(values: tuple[int, ...]) -> str:
-    return " ".join(map(str, values))

@@ -12,7 +12,7 @@ sample that `runtime_sample` is given; whether a step missed its deadline, into 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 
@@ -22,11 +22,9 @@ from numpy.typing import NDArray
 from neuroflight.sim.board.core.engine import Outcome
 from neuroflight.sim.board.debug.variables import pointers_in, read_variables
 from neuroflight.sim.ports.emulator import RECEIVER, EmulatedPort
-from neuroflight.sim.replay.inputs import Answers, Flight, words_of_samples
+from neuroflight.sim.replay.inputs import ANSWER, Answers, Flight, Progress, unpacked, words_of_samples
 from neuroflight.toolchain.contract import LogEdge, Weights
 from neuroflight.toolchain.errors import LinkError, TraceError
-
-Progress = Callable[[float], None]
 
 SILENCE_EDGES_MAX = 400  # periods of the gyro until the image must have told of a silence
 _FIRMWARE = "firmware"
@@ -37,10 +35,7 @@ _EDGES = {  # flag, and the variable of the background that says it
     LogEdge.ACKNOWLEDGED: "acknowledged",
     LogEdge.CALIBRATE: "calibrate",
 }
-_WEIGHTS = {
-    LogEdge.WEIGHTS_BAD: bytes([Weights.BAD]),
-    LogEdge.WEIGHTS_GOOD: bytes([Weights.RENEWED]),
-}
+_WEIGHTS = {LogEdge.WEIGHTS_BAD: bytes([Weights.BAD]), LogEdge.WEIGHTS_GOOD: bytes([Weights.RENEWED])}
 
 
 class BoardReplay(EmulatedPort):
@@ -52,10 +47,7 @@ class BoardReplay(EmulatedPort):
         elf = image.with_suffix(".elf")
         (self._firmware,) = read_variables(elf, _FIRMWARE)
         self._pointers = pointers_in(elf, _FIRMWARE)
-        self._values = np.frombuffer(self._memory(), self._firmware.dtype)[
-            0
-        ]  # as it lies in the board's memory
-        self._missed = False
+        self._values = np.frombuffer(self._memory(), self._firmware.dtype)[0]  # in the board's memory
         symbols = self.board.symbols
         missing = [name for name in _STOPS if name not in symbols]
         if missing:
@@ -65,7 +57,6 @@ class BoardReplay(EmulatedPort):
 
     @property
     def state_bytes(self) -> int:
-        """Size of `struct firmware`."""
         return self._firmware.size
 
     def restore_firmware(self, state: bytes) -> None:
@@ -73,7 +64,7 @@ class BoardReplay(EmulatedPort):
         wanted, own = bytearray(state), self._memory()
         for place in self._pointers:
             wanted[place] = own[place]
-        self.board.engine.poke(self._firmware.address, bytes(wanted))
+        self.board.engine.set_memory(self._firmware.address, bytes(wanted))
 
     def run(self, flight: Flight, progress: Progress = lambda _: None) -> Answers:
         """Replay each control step of `flight` and return the answers."""
@@ -81,29 +72,22 @@ class BoardReplay(EmulatedPort):
         words = words_of_samples(inputs, self._last_words())
         told = self._values["status"]["trace"]
         steps = len(flight)
-        found = Answers(
-            dshot=np.zeros((steps, flight.motor_count), np.uint16),
-            gyro=(gyro := np.zeros((steps, 3), np.float32)),
-            setpoint=(setpoint := np.zeros((steps, 3), np.float32)),
-            throttle=(throttle := np.zeros(steps, np.float32)),
-        )
+        answers = np.zeros(steps, ANSWER)
         every = max(1, flight.control_rate_hz // 10)
         for k in range(steps):
             self._silence(int(inputs.silences[k]), int(inputs.forbidden[k]))
             count = int(inputs.samples[k])
             for i in range(count):
                 last = i == count - 1
-                if last:
-                    self._missed = bool(inputs.flags[k] & LogEdge.MISSED)
                 self._sample(words[k, i], not inputs.invalid[k, i], int(inputs.lost[k]) if last else 0)
                 if last:
                     self._edges(flight, k)
-                self._go_on(k, last)
-            found.dshot[k] = told["dshot"][: flight.motor_count]
-            gyro[k], setpoint[k], throttle[k] = told["gyro"], told["setpoint"], told["throttle"]
+                self._go_on(k, bool(inputs.flags[k] & LogEdge.MISSED) if last else None)
+            for name in ANSWER.fields or ():
+                answers[name][k] = told[name]
             if k % every == 0:
                 progress(k / steps)
-        return found
+        return unpacked(answers, flight.motor_count)
 
     def _memory(self) -> memoryview:
         return self.board.engine.view(self._firmware.address, self._firmware.size)
@@ -140,16 +124,16 @@ class BoardReplay(EmulatedPort):
         sample = engine.register(1)  # the second argument
         layout = self._firmware.dtype["gyro"]["last"].fields
         assert layout is not None
-        engine.poke(sample + layout["valid"][1], _ONE if valid else _NONE)
-        engine.poke(sample + layout["lost"][1], lost.to_bytes(2, "little"))
+        engine.set_memory(sample + layout["valid"][1], _ONE if valid else _NONE)
+        engine.set_memory(sample + layout["lost"][1], lost.to_bytes(2, "little"))
 
-    def _go_on(self, step: int, is_step: bool) -> None:
-        """Run to the cycle before the next edge; miss the deadline on the way if the log says so."""
+    def _go_on(self, step: int, missed: bool | None) -> None:
+        """Run to the cycle before the next edge. missed: the step's deadline; None: the sample is no step."""
         stop = self._run_on()
-        if is_step:
+        if missed is not None:
             if stop != "firmware_deadline":
                 raise LinkError(f"gyro sample of step {step}: no control step came of it")
-            self.board.engine.set_register(1, int(self._missed))
+            self.board.engine.set_register(1, int(missed))
             stop = self._run_on()
         if stop:
             raise LinkError(
@@ -169,13 +153,12 @@ class BoardReplay(EmulatedPort):
         if flags & LogEdge.POSTED:
             self._put("posted_us", data)
         elif data:
-            self.board.hardware.dma.give(f"{RECEIVER}_RX", data)
+            self.board.hardware.dma.requests[f"{RECEIVER}_RX"].give(data)
 
     def _put(self, name: str, data: bytes) -> None:
-        """Write a member of `struct firmware`."""
         fields = self._firmware.dtype.fields
         assert fields is not None
-        self.board.engine.poke(self._firmware.address + fields[name][1], data)
+        self.board.engine.set_memory(self._firmware.address + fields[name][1], data)
 
     def _silence(self, times: int, forbidden: int) -> None:
         """Keep the gyro silent until the image has reported it `times` times."""

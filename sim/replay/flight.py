@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.flash.settings.text import parse_setting
+from neuroflight.sim.arrays import Array32, Flags
 from neuroflight.sim.blackbox.firmware import Maker
 from neuroflight.sim.blackbox.log import Log, floats, words
 from neuroflight.sim.replay.inputs import Answers, Flight, Inputs
@@ -73,19 +74,15 @@ def _refuse(log: Log, what: str, mend: str) -> NoReturn:
 def _mask(log: Log, group: LogGroup) -> str:
     """Return what the user sets so that the next log has `group`."""
     now = log.headers.integer(f"{SETTING}blackbox_disabled_mask", 0)
-    return (
-        f"fly again with blackbox_disabled_mask = {now & ~(1 << group)} (now {now}: bit {int(group)} is off)"
-    )
+    wanted = now & ~(1 << group)
+    return f"fly again with blackbox_disabled_mask = {wanted} (now {now}: bit {int(group)} is off)"
 
 
 def _check_kind(log: Log) -> None:
     """Raise TraceError unless the log is one of ours, and has every control step and the group REPLAY."""
     if log.maker is not Maker.NEUROFLIGHT:
-        _refuse(
-            log,
-            f"it is of {log.maker.value}, expected one of Neuroflight",
-            "its commands can be flown: fly --commands",
-        )
+        what = f"it is of {log.maker.value}, expected one of Neuroflight"
+        _refuse(log, what, "its commands can be flown: fly --commands")
     for names, columns in ((_REPLAY, log.columns), (_SLOW, log.slow)):
         if missing := [name for name in names if name not in columns]:
             what = f"it lacks {', '.join(missing)} of the group REPLAY"
@@ -101,25 +98,23 @@ def _check_kind(log: Log) -> None:
 
 def _state(log: Log) -> bytes:
     """Read the state of struct firmware from the header. Raises TraceError if it is incomplete."""
+    again = "take another copy of the file"
     lines = sorted(name for name in log.header if name.startswith("nf_state_") and name[9:].isdigit())
     if not lines:
-        _refuse(
-            log,
-            "its header has no state of the control path (nf_state_000 ..)",
-            "it is damaged, or was not begun from the start; take another copy",
-        )
+        what = "its header has no state of the control path (nf_state_000 ..)"
+        _refuse(log, what, "it is damaged, or was not begun from the start; take another copy")
     text = "".join(log.header[name].strip() for name in lines)
     try:
         state = bytes.fromhex(text)
     except ValueError:
-        _refuse(log, "the state in its header is no hexadecimal number", "take another copy of the file")
+        _refuse(log, "the state in its header is no hexadecimal number", again)
     whole = lines == [f"nf_state_{number:03d}" for number in range(len(lines))]
     if not whole or len(state) > STATE_BYTES_MAX:
-        _refuse(log, "lines of the state in its header are missing", "take another copy of the file")
+        _refuse(log, "lines of the state in its header are missing", again)
     said = log.header.get("nf_state_crc", "").strip()
     if said and said.lower() != f"{zlib.crc32(state):08x}":
         what = f"the state in its header is damaged (CRC-32 {zlib.crc32(state):08x}, expected {said})"
-        _refuse(log, what, "take another copy of the file")
+        _refuse(log, what, again)
     return state
 
 
@@ -127,9 +122,8 @@ def _rate(log: Log, name: str) -> int:
     """Read a rate [Hz] from the header."""
     value = log.headers.integer(name, 0)
     if not 0 < value <= 32_000:
-        _refuse(
-            log, f"its header says {name} {value}, expected a rate in Hz", "take another copy of the file"
-        )
+        what = f"its header says {name} {value}, expected a rate in Hz"
+        _refuse(log, what, "take another copy of the file")
     return value
 
 
@@ -193,17 +187,15 @@ def _slow(log: Log) -> dict[str, Integers]:
     return found
 
 
-def _follows(log: Log, inputs: Inputs, gyro_hz: int) -> NDArray[np.bool_]:
+def _follows(log: Log, inputs: Inputs, gyro_hz: int) -> Flags:
     """Return True for rows (N,) whose samples, lost ones and silences fill the time since the row before."""
     sample = (log.time_us * gyro_hz + 500_000) // 1_000_000  # of each row, since the boot
     passed = inputs.samples + inputs.lost + inputs.silences * (gyro_hz * GYRO_BAD_MS // 1000)
-    follows: NDArray[np.bool_] = np.diff(sample, prepend=sample[:1] - passed[:1]) == passed
+    follows: Flags = np.diff(sample, prepend=sample[:1] - passed[:1]) == passed
     return follows
 
 
-def _usable(
-    log: Log, inputs: Inputs, gyro_hz: int, divider: int, wrong: NDArray[np.bool_]
-) -> tuple[int, str]:
+def _usable(log: Log, inputs: Inputs, gyro_hz: int, divider: int, wrong: Flags) -> tuple[int, str]:
     """Return the number of usable rows, and what is wrong with the next; "": all are usable."""
     flags = inputs.flags
     resumed = np.zeros(len(log), bool)
@@ -229,7 +221,7 @@ def _usable(
     return row, f"replayed up to {at}: {why}"
 
 
-def _sound(log: Log, inputs: Inputs, motors: Integers) -> NDArray[np.bool_]:
+def _sound(log: Log, inputs: Inputs, motors: Integers) -> Flags:
     """Return True for rows (N,) whose check matches inputs and motors; for all if the log has no check."""
     told = log.columns.get(_CHECK)
     if told is None:
@@ -248,11 +240,11 @@ def _sound(log: Log, inputs: Inputs, motors: Integers) -> NDArray[np.bool_]:
         crc = zlib.crc32(inputs.accel[k].tobytes(), crc)
         crc = zlib.crc32(inputs.receiver[k, : int(inputs.received[k])].tobytes(), crc)
         found[k] = zlib.crc32(values[k].tobytes(), crc) & _CHECK_MASK
-    sound: NDArray[np.bool_] = found == told
+    sound: Flags = found == told
     return sound
 
 
-def _exact(log: Log, name: str, first: int, last: int, count: int) -> NDArray[np.float32] | None:
+def _exact(log: Log, name: str, first: int, last: int, count: int) -> Array32 | None:
     """Return columns of the group EXACT, (count, last - first) or (count,); None without them."""
     found = log.matrix(name)
     if found is None or found.shape[1] < last:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from neuroflight.sim.ports.port import setting_changes
-from neuroflight.sim.replay.inputs import Answers, Flight
-from neuroflight.sim.replay.stream import ANSWER, HEAD, packed, unpacked
+from neuroflight.sim.replay.inputs import ANSWER, HEAD, Answers, Flight, Progress, packed, unpacked
 from neuroflight.toolchain.contract import REPLAY_STREAM_MAGIC
 from neuroflight.toolchain.errors import LinkError
 
-Progress = Callable[[float], None]
 WORDS_MAX = 1000  # of its stderr that are told
 STEPS_AT_ONCE = 4096
 

@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.ports.library import Reference
-from neuroflight.sim.replay.inputs import Answers, Flight
-from neuroflight.sim.replay.stream import ANSWER, STEP, packed, unpacked
+from neuroflight.sim.replay.inputs import ANSWER, STEP, Answers, Flight, Progress, packed, unpacked
 from neuroflight.sim.structs import dtype_of
 from neuroflight.toolchain.errors import TraceError
 from neuroflight.toolchain.workers import Worker
 
-Progress = Callable[[float], None]
 TRACE = dtype_of("reference_trace")
 CHUNK = 2048  # control steps between two words of progress
 
@@ -80,7 +78,6 @@ class ReplayLibrary(Reference):
 
     @property
     def state_bytes(self) -> int:
-        """Size of a state."""
         return int(self._library.reference_state_size())
 
     def memory(self, count: int) -> bytes:

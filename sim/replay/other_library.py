@@ -8,7 +8,7 @@ information of both programs, so that their layouts may differ.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from neuroflight.sim.aircraft.identity import shipped_as
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.debug.variables import pointers_in, read_variables
 from neuroflight.sim.control.pid_table import pid_table
-from neuroflight.sim.replay.inputs import Answers, Flight
+from neuroflight.sim.replay.inputs import Answers, Flight, Progress
 from neuroflight.sim.replay.library import ReplayLibrary, check_layout, in_process
 from neuroflight.toolchain.errors import TraceError
 from neuroflight.toolchain.image.build import build
@@ -28,7 +28,6 @@ FIRMWARE = "firmware"
 # What the other policy begins with as after a reset; `mixers` has its idle, `good` whether it may fly.
 OWN = ("control.policy", "control.observation", "control.seen", "control.mixers", "control.good")
 
-Progress = Callable[[float], None]
 Leaf = tuple[str, int, Any]  # name, place, kind of a number, or of an array of them
 
 

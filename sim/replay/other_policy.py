@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.control.motors import motor_fractions
 from neuroflight.sim.replay.inputs import Answers, Flight
 from neuroflight.toolchain.contract import DSHOT_STOP
@@ -69,7 +69,7 @@ def opinion(flight: Flight, answers: Answers) -> Opinion:
     )
 
 
-def _largest(t: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[Large, ...]:
+def _largest(t: Array, u: Array, v: Array) -> tuple[Large, ...]:
     """Return the largest differences of fractions u and v (N, M), at least APART_S from each other."""
     worst = np.abs(u - v).max(axis=1)
     found: list[Large] = []

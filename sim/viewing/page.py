@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.design.drawing import SPIN_COLOURS
 from neuroflight.sim.physics.rotation import quaternion
 from neuroflight.sim.plotting import AXIS_COLOURS, MOTOR_COLOURS
@@ -18,7 +18,6 @@ from neuroflight.toolchain.contract import AXES
 from neuroflight.toolchain.files import write_text
 from neuroflight.toolchain.rendering.jinja import render
 
-Array = NDArray[np.float64]
 FRAME_S = 0.02  # between two poses of a page
 FRAMES_MAX = 30_000  # ten minutes, 4 MB
 SPEEDS = (0.05, 0.1, 0.25, 0.5, 1, 2, 5)  # to choose from in the page

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.plotting import AXIS_COLOURS, GRID, INK, MUTED, dress, save_png
 from neuroflight.sim.viewing.scene import Scene
 from neuroflight.sim.viewing.shapes import Kind, aircraft_faces, disc_colour, reach
 from neuroflight.toolchain.contract import AXES
 from neuroflight.toolchain.files import replacing
 
-Array = NDArray[np.float64]
 AZIMUTH, ELEVATION = np.deg2rad(35.0), np.deg2rad(28.0)  # of the camera: behind, to the right, above
 LIGHT = np.array([-0.35, -0.25, 0.9]) / np.linalg.norm([-0.35, -0.25, 0.9])  # to it, world axes
 BODY, NOSE = to_rgb("#8a94a0"), to_rgb(INK)

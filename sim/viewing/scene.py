@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.blackbox.flight import Part, part_rows
 from neuroflight.sim.flight.trace import COLUMNS, Trace
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.viewing.poses import attitudes
 
-Array = NDArray[np.float64]
 STAYS_M = 1e-3  # a flight that keeps within it is shown in place
 
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import Part, rotation_matrix
 from neuroflight.sim.aircraft.mesh import box, equal_box
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.design.drawing import SPIN_COLOURS, is_propeller, part_surface, propeller_radius
 
-Array = NDArray[np.float64]
 DISC_CORNERS = 28
 MOTOR_SIDES = 12  # of the can that stands for a motor
 PLATE = 0.3  # side of a frame's plate, of the distance between the hubs that are furthest apart

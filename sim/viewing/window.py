@@ -6,7 +6,6 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.physics.bullet import pybullet
 from neuroflight.sim.physics.rotation import quaternion
@@ -14,7 +13,6 @@ from neuroflight.sim.viewing.scene import Scene
 from neuroflight.sim.viewing.shapes import BELOW, Face, Kind, aircraft_faces, disc_colour, reach
 from neuroflight.toolchain.errors import NeuroflightError
 
-Array = NDArray[np.float64]
 BODY, NOSE = (0.54, 0.58, 0.63, 1.0), (0.13, 0.15, 0.18, 1.0)
 RENDER = pybullet.COV_ENABLE_SINGLE_STEP_RENDERING  # a frame is drawn whole, once all has moved
 OPACITY = 0.6  # of a rotor disc

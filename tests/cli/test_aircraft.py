@@ -58,7 +58,7 @@ def test_draws_when_asked_to(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     [
         (["none.toml"], "no such file"),
         (["nf1", "--draw", "nf1.pdf"], "ends in .png"),
-        (["nf1", "--draw", "/dev/null/nf1.png"], "cannot be written"),
+        (["nf1", "--draw", "/dev/null/nf1.png"], "/dev/null is no directory; choose another place"),
     ],
 )
 def test_says_one_line_when_it_is_asked_wrongly(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import socket
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from neuroflight.flash.link.transport import open_transport
 from neuroflight.flash.settings.values import Settings
 from neuroflight.toolchain.contract import FLASH_BYTES, Msp
 from neuroflight.toolchain.files import claimed_file
+from tests.forked import Forked
 
 LIMIT_S = 60.0  # of a test that hangs
 
@@ -30,20 +30,7 @@ class Running:
     """The command as a program of its own."""
 
     def __init__(self, image: Path, *options: str) -> None:
-        command = [
-            sys.executable,
-            "-m",
-            "neuroflight.cli.main",
-            "image",
-            "emulate",
-            "--image",
-            str(image),
-            *options,
-        ]
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
-        )
-        assert self.process.stdout is not None
+        self.process = Forked("image", "emulate", "--image", str(image), *options)
         self.told = ""
         while "Ctrl-C" not in self.told:
             line = self.process.stdout.readline()
@@ -58,7 +45,9 @@ class Running:
         """Ctrl-C: exit code, what it said last, and on stderr."""
         self.process.send_signal(signal.SIGINT)
         out, errors = self.process.communicate(timeout=LIMIT_S)
-        return self.process.returncode, out, errors
+        code = self.process.returncode
+        assert code is not None
+        return code, out, errors
 
     def end(self) -> None:
         if self.process.poll() is None:
@@ -129,7 +118,6 @@ def test_it_says_so_when_both_ends_run_at_different_speeds(start: Callable[..., 
     host, port = board.port.split(":")[1:]
     with socket.create_connection((host, int(port)), LIMIT_S) as program:
         program.sendall(b"$M<\x00\x01\x01" * 10)
-        assert board.process.stderr is not None
         words = board.process.stderr.readline()
     assert words.startswith("the board's line runs at 115139 baud, this end at 921600: ")
     assert board.interrupt()[0] == 0
@@ -229,6 +217,17 @@ def test_it_ends_by_itself_when_its_time_is_over(image: Path, capfd: pytest.Capt
     assert errors == ""
 
 
+def test_its_ports_and_its_end_are_lines_of_json_when_asked_for(
+    image: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["image", "emulate", "--image", str(image), "--seconds=0.01", "--serial=tcp", "--gdb=0", "--json"]
+    assert main(words) == 0
+    begun, ended = map(json.loads, capsys.readouterr().out.splitlines())
+    assert begun["image"] == str(image) and begun["gdb"] > 0
+    assert list(begun["ports"]) == ["msp"] and begun["ports"]["msp"]["port"].startswith("tcp:127.0.0.1:")
+    assert ended["seconds"] >= 0.01 and ended["resets"] == []
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -239,10 +238,10 @@ def test_it_ends_by_itself_when_its_time_is_over(image: Path, capfd: pytest.Capt
         ),
         (["--serial=pty", "--serial=tcp"], "--serial: got uart1 twice, expected each UART once"),
         (["--serial=tcp:70000"], "--serial: got 'tcp:70000', expected pty, tcp or tcp:PORT"),
-        (["--baud=0"], "--baud: got 0, expected 1 to 10000000"),
-        (["--gdb=-1"], "--gdb: got -1, expected a port of 0 to 65535, 0 for any"),
-        (["--volts=99"], "--volts: got 99, expected 0 to 36"),
-        (["--seconds=0"], "--seconds: got 0, expected a number above 0"),
+        (["--baud=0"], "--baud 0, expected 1 to 10000000"),
+        (["--gdb=-1"], "--gdb -1, expected 0 to 65535"),
+        (["--volts=99"], "--volts 99, expected 0 to 36 V"),
+        (["--seconds=0"], "--seconds 0, expected a number above 0"),
         (["--image=nowhere.bin"], "nowhere.bin: No such file or directory; build it with `make firmware"),
         (["--image=large.bin"], "large.bin: 524289 bytes, expected an image of 1 to 524288; build it with"),
         (

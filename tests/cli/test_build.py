@@ -129,7 +129,7 @@ def test_no_image_without_a_pid_unless_it_is_asked_for_in_words(
 ) -> None:
     own = written(tmp_path / "own.toml", NO_PID)
     line = refused("--policy", SHIPPED, "--aircraft", own)
-    assert f"`neuroflight pid tune --aircraft {own} --write {own}`" in line and "--no-pid" in line
+    assert f"`neuroflight pid tune --aircraft {own} --out {own}`" in line and "--no-pid" in line
     assert asked("--policy", SHIPPED, "--aircraft", own, "--no-pid").pid is None
     heavier = trained_on(written(tmp_path / "heavier.toml", HEAVIER), tmp_path / "policy.onnx")
     got = asked("--policy", heavier, "--no-pid")

@@ -14,6 +14,7 @@ from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.toolchain.policy.check_stamp import Stamp, stamp_document, stamp_path, write_stamp
 from neuroflight.toolchain.policy.model import read_policy
+from tests.refusal import refused
 
 Build = dict[str, Any]
 
@@ -66,10 +67,9 @@ def test_no_image_is_built_of_another_one(
 ) -> None:
     if words is not None:
         stamped(policy, **words)
-    assert main(["image", "build", "--policy", str(policy)]) == 1
-    err = capsys.readouterr().err
-    assert said in err and err.count("\n") == 1 and not built
-    assert f"run: neuroflight policy check {policy} --aircraft nf1, or add --unchecked" in err
+    error = refused(capsys, ["image", "build", "--policy", str(policy)])
+    assert said in error and not built
+    assert f"run: neuroflight policy check {policy} --aircraft nf1, or add --unchecked" in error
     assert main(["image", "build", "--policy", str(policy), "--unchecked"]) == 0
     assert built == {"check": None} or built["check"] is None
     assert main(["image", "build", "--policy", str(policy), "--target", "HOST"]) == 0

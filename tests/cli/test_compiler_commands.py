@@ -14,6 +14,7 @@ import pytest
 
 from neuroflight.cli.main import THREADS, main
 from neuroflight.toolchain.policy.blob import parse
+from tests.refusal import refused
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
@@ -27,16 +28,6 @@ def policy_file(kit: Kit, tmp_path: Path) -> Path:
     path = tmp_path / "policy.onnx"
     path.write_bytes(kit.mlp((6, 8, 4)).data())
     return path
-
-
-def refused(arguments: list[str], capsys: Capture) -> str:
-    """The one line on stderr of a command that fails."""
-    assert main(arguments) == 1
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.startswith("neuroflight: ")
-    assert printed.err.count("\n") == 1
-    return printed.err
 
 
 def test_compile_writes_all_files_when_the_policy_is_good(
@@ -58,7 +49,7 @@ def test_compile_writes_nothing_when_the_policy_is_refused(
 ) -> None:
     policy_file.write_bytes(policy_file.read_bytes()[:300])
     assert "truncated" in refused(
-        ["policy", "compile", str(policy_file), "--out", str(tmp_path / "out")], capsys
+        capsys, ["policy", "compile", str(policy_file), "--out", str(tmp_path / "out")]
     )
     assert not (tmp_path / "out").exists()
 
@@ -69,13 +60,13 @@ def test_freeze_writes_nothing_when_the_checkpoint_is_none(
     out = tmp_path / "frozen.onnx"
     policy_file.write_bytes(b"no checkpoint")
     assert "is no ONNX model: it is text" in refused(
-        ["policy", "import", str(policy_file), "--out", str(out)], capsys
+        capsys, ["policy", "import", str(policy_file), "--out", str(out)]
     )
     assert not out.exists()
 
 
 def test_build_names_the_known_targets_when_the_target_is_unknown(policy_file: Path, capsys: Capture) -> None:
-    line = refused(["image", "build", "--target", "KAKUTE", "--policy", str(policy_file)], capsys)
+    line = refused(capsys, ["image", "build", "--target", "KAKUTE", "--policy", str(policy_file)])
     assert line == "neuroflight: unknown TARGET 'KAKUTE', known are MATEKF722, HOST\n"
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import FOLDER, RPM, TorqueResponse, load_aircraft
+from tests.refusal import refused
 
 
 def command(capsys: pytest.CaptureFixture[str], *words: str | Path) -> dict[str, Any]:
@@ -150,9 +151,7 @@ def test_command_says_one_line_and_leaves_nothing_when_it_cannot(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "short.csv").write_text("\n".join(log.read_text().splitlines()[:11]))
     before = sorted(tmp_path.iterdir())
-    assert main(["dyno", *words]) == 1
-    told = capsys.readouterr()
-    assert message in told.err and told.err.count("\n") == 1 and told.out == ""
+    assert message in refused(capsys, ["dyno", *words])
     assert sorted(tmp_path.iterdir()) == before
 
 

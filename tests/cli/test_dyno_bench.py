@@ -18,6 +18,7 @@ from neuroflight.sim.aircraft.model import RPM, TorqueResponse, load_aircraft
 from neuroflight.sim.identification.bench.load_cell import write_load_cells
 from neuroflight.sim.identification.dyno.recording import read_recordings
 from neuroflight.sim.identification.dyno.signal import commanded
+from tests.refusal import refused
 from tests.sim.identification.bench.conftest import rig_cells
 from tests.sim.identification.bench.rig import Rig, SensorKind
 
@@ -189,8 +190,8 @@ def test_finished_runs_stay_and_the_others_follow_when_it_was_interrupted(
     ("words", "says"),
     [
         (["--limit", "0.6", "--bench-clear"], "expected at most 0.5 without --full"),
-        (["--limit", "1.1", "--full", "--bench-clear"], "--limit 1.1, expected 0.1 to 1"),
-        (["--limit", "nan", "--full", "--bench-clear"], "--limit nan"),
+        (["--limit", "1.1", "--full", "--bench-clear"], "--top-throttle 1.1, expected 0.1 to 1"),
+        (["--limit", "nan", "--full", "--bench-clear"], "--top-throttle nan"),
         ([], "no motor was turned"),
         (["--bench-clear", "--time-limit", "100"], "40 runs take 1040 s, expected at most 100 s"),
         (["--bench-clear", "--motor", "5", "--repeats", "1"], "motor 5, expected 1 to 4"),
@@ -211,9 +212,7 @@ def test_nothing_turns_and_nothing_is_written_when_the_command_is_refused(
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("bench clear\n"))  # no terminal: nobody is there
     rig, out = rig_of(), tmp_path / "a.csv"
-    assert main(bench(rig, out, *words)) == 1
-    error = capsys.readouterr().err
-    assert says in error and error.count("\n") == 1
+    assert says in refused(capsys, bench(rig, out, *words))
     assert max(rig.turned) == 0.0 and not out.exists()
     rig.advance(0.1)
     assert max(rig.turned) == 0.0

@@ -29,13 +29,14 @@ from neuroflight.toolchain.contract import FLASH_BANK_B, FLASH_BASE, IMAGE_LAYOU
 from neuroflight.toolchain.image.stamp import stamp
 from neuroflight.toolchain.policy.check_stamp import RULES, stamp_document
 from tests.flash.conftest import TcpServer
+from tests.flash.conftest import reviving_host as reviving_host
 from tests.flash.image.board_model import BoardModel, Fate, Setting, board_with
-from tests.flash.image.conftest import RevivingHost, policy_of_build, stamped
 from tests.flash.image.conftest import board_images as board_images
 from tests.flash.image.conftest import board_policy as board_policy
 from tests.flash.image.conftest import host_file as host_file
 from tests.flash.image.conftest import host_images as host_images
-from tests.flash.image.conftest import reviving_host as reviving_host
+from tests.flash.image.conftest import policy_of_build, stamped
+from tests.flash.peers import HostBoard
 
 ROOT = Path(__file__).resolve().parents[2]
 Run = Callable[..., tuple[int, str, str]]
@@ -209,7 +210,7 @@ def test_the_exit_code_is_1_when_the_new_image_is_no_good(
 
 
 def test_the_tool_says_that_the_board_went_back_when_the_host_program_cannot_run_it(
-    flash: Run, reviving_host: RevivingHost, host_file: Path, host_images: list[bytes], tmp_path: Path
+    flash: Run, reviving_host: HostBoard, host_file: Path, host_images: list[bytes], tmp_path: Path
 ) -> None:
     """It stands for bank A, whatever is switched to."""
     before = (tmp_path / "flash.bin").read_bytes()
@@ -230,7 +231,7 @@ def test_the_tool_says_that_the_board_went_back_when_the_host_program_cannot_run
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_it_is_stopped_and_goes_on_where_it_was(
     flash: Run,
-    reviving_host: RevivingHost,
+    reviving_host: HostBoard,
     host_file: Path,
     monkeypatch: pytest.MonkeyPatch,
     number: signal.Signals,
@@ -289,7 +290,7 @@ def test_make_flash_asks_for_the_port_before_it_builds(tmp_path: Path) -> None:
 
 # --- Refusals: nothing is written -----------------------------------------------------------------------
 @pytest.fixture
-def refused(flash: Run, reviving_host: RevivingHost, tmp_path: Path) -> Callable[..., str]:
+def refused(flash: Run, reviving_host: HostBoard, tmp_path: Path) -> Callable[..., str]:
     """Flash that onto the host program: the one line, its flash being as it was."""
 
     def run(image: Path, port: str = "") -> str:
@@ -385,7 +386,7 @@ def test_a_port_is_refused_when_no_board_of_ours_answers_there(
 
 
 def test_it_says_what_is_written_when_the_port_is_unplugged_meanwhile(
-    flash: Run, reviving_host: RevivingHost, host_file: Path, monkeypatch: pytest.MonkeyPatch
+    flash: Run, reviving_host: HostBoard, host_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     count = 0
 

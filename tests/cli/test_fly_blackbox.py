@@ -15,6 +15,7 @@ from neuroflight.sim.blackbox.log import Log, floats, list_logs, read_log
 from neuroflight.sim.flight.loop import fly
 from neuroflight.sim.flight.trace import load_trace
 from neuroflight.toolchain.contract import LogEvent, LogGroup
+from tests.refusal import refused
 
 pytest.importorskip("orangebox")
 
@@ -128,10 +129,7 @@ def test_what_came_is_kept_when_the_user_interrupts(
 def test_it_is_one_line_when_there_can_be_no_such_log(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["fly", *arguments]) == 1
-    captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1
-    assert message in captured.err
+    assert message in refused(capsys, ["fly", *arguments])
 
 
 def test_an_old_file_stays_when_nothing_is_logged(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import os
@@ -20,7 +19,8 @@ import pytest
 
 from neuroflight.cli.fly import emulator as fly_emulator
 from neuroflight.cli.fly import ports as fly_ports
-from neuroflight.cli.fly.emulator import STOPPED
+from neuroflight.cli.fly.fly import Fly
+from neuroflight.cli.fly.options import STOPPED
 from neuroflight.cli.main import main
 from neuroflight.flash.link import messages
 from neuroflight.flash.link.client import Client
@@ -29,6 +29,7 @@ from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.source_places import Places
 from neuroflight.sim.flight.trace import COLUMNS, Trace, load_trace
 from neuroflight.toolchain.contract import FLASH_BASE, MSP_VARIANT_BETAFLIGHT, Msp
+from tests.refusal import refused
 from tests.sim.board.mutants.conftest import build_mutant as build_mutant
 from tests.sim.board.mutants.conftest import workshop as workshop
 from tests.sim.board.mutants.mutant import Mutant
@@ -367,7 +368,7 @@ def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
 
     told = client(debug)
     with ExitStack() as ends:
-        args = argparse.Namespace(gdb=0, serial=None)
+        args = Fly(gdb=0)
         run_to = fly_emulator.attached(args, board, image, ends)
         assert board.cycle == 0
         run_to(10_000)
@@ -415,8 +416,4 @@ def test_it_refuses_in_one_line_before_flying_when_an_option_cannot_be(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
-    assert main(["fly", *arguments]) == 1
-    captured = capsys.readouterr()
-    assert message in captured.err
-    assert captured.err.count("\n") == 1
-    assert captured.out == ""
+    assert message in refused(capsys, ["fly", *arguments])

@@ -42,16 +42,18 @@ def test_a_card_is_prepared_listed_and_emptied_of_what_was_copied(
     code, _, line = log_card(capsys, image, "--clear", "--copies", copies)
     assert code == 1 and "give --yes; nothing was written" in line
     assert image.read_bytes() == before
-    code, told, _ = log_card(capsys, image, "--clear", "--copies", copies, "--yes")
-    assert code == 0 and told.endswith("0 with a log, 3 empty\n")
+    code, told, _ = log_card(capsys, image, "--clear", "--copies", copies, "--yes", "--json")
+    emptied = {"copies": {"LOG00001.BBL": str(copies / "LOG00001.BBL")}, "emptied": ["LOG00001.BBL"]}
+    assert code == 0 and json.loads(told) == emptied
+    assert log_card(capsys, image, "--list")[1].endswith("0 with a log, 3 empty\n")
     fsck(image)
 
 
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("--size", "0"), "--size got 0, expected 1 to 4095 MB"),
-        (("--files", "0"), "--files got 0, expected 1"),
+        (("--size", "0"), "--size 0, expected 1 to 4095 MB"),
+        (("--files", "0"), "--files 0, expected 1"),
         ((), "expected a card's with FAT32; name the folder where the card is mounted"),
     ],
 )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +14,7 @@ from neuroflight.cli.main import main
 from neuroflight.flash.link.msp import Decoder, Message, encode
 from neuroflight.toolchain.contract import LogError, LogState
 from tests.flash.logs.log_model import LogBoard, log_board, log_of
+from tests.forked import Forked
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRST, LAST = log_of(5000, 1), log_of(9000, 2)
@@ -80,6 +79,8 @@ def test_the_last_log_is_fetched_or_those_that_are_named_or_all(
     code, told, _ = log(capsys, "fetch", "--port", port, "--out", tmp_path, "--all")
     assert code == 0 and "LOG00002.BBL is empty" in told and "LOG00003.BBL holds it already" in told
     assert (tmp_path / "LOG00001.BBL").read_bytes() == FIRST
+    (fetched,) = json.loads(log(capsys, "fetch", "--port", port, "--out", tmp_path, "1", "--json")[1])
+    assert (fetched["log"], fetched["path"]) == (1, str(tmp_path / "LOG00001.BBL")) and fetched["there"]
     code, _, line = log(capsys, "fetch", "--port", port, "--out", tmp_path, "4")
     assert code == 1 and "got log 4, expected 1 to 3" in line
     code, _, line = log(capsys, "fetch", "--port", port, "--out", tmp_path, "1", "--all")
@@ -99,16 +100,18 @@ def test_erasing_wants_copies_and_a_word(
     code, _, line = log(capsys, "erase", "--port", port, "--copies", tmp_path)
     assert code == 1 and "give --yes; nothing was erased" in line
     assert board.logs == [FIRST, LAST]
-    code, told, _ = log(capsys, "erase", "--port", port, "--copies", tmp_path, "--yes")
-    assert (code, board.logs) == (0, []) and told.startswith("2 logs erased")
+    code, told, _ = log(capsys, "erase", "--port", port, "--copies", tmp_path, "--yes", "--json")
+    assert (code, board.logs) == (0, [])
+    assert json.loads(told) == {"erased": ["LOG00001.BBL", "LOG00002.BBL"], "empty": 5}
 
 
 def test_unfetched_logs_are_erased_when_that_is_said(
     serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board = log_board(FIRST)
-    code, _, _ = log(capsys, "erase", "--port", serve(board), "--copies", tmp_path, "--unfetched", "--yes")
-    assert (code, board.logs) == (0, [])
+    words = ("--copies", tmp_path, "--unfetched", "--yes")
+    code, told, _ = log(capsys, "erase", "--port", serve(board), *words)
+    assert (code, board.logs) == (0, []) and told.startswith("1 logs erased")
 
 
 def test_nothing_to_fetch_is_one_line(
@@ -119,9 +122,8 @@ def test_nothing_to_fetch_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_fetch_keeps_what_came_and_goes_on(
-    number: signal.Signals, serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board = log_board(log_of(40_000))
     stalled = threading.Event()
@@ -136,22 +138,10 @@ def test_an_interrupted_fetch_keeps_what_came_and_goes_on(
 
     board.later = stall  # type: ignore[method-assign]
     port = serve(board)
-    command = [
-        sys.executable,
-        "-m",
-        "neuroflight.cli.main",
-        "board",
-        "logs",
-        "fetch",
-        "--port",
-        port,
-        "--out",
-        str(tmp_path),
-    ]
-    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as fetching:
-        assert stalled.wait(20)
-        fetching.send_signal(number)
-        _, told = fetching.communicate(timeout=20)
+    fetching = Forked("board", "logs", "fetch", "--port", port, "--out", str(tmp_path))
+    assert stalled.wait(20)
+    fetching.send_signal(signal.SIGTERM)
+    _, told = fetching.communicate(timeout=20)
     assert fetching.returncode == 130 and told == "neuroflight: interrupted; what was finished is kept\n"
     part = (tmp_path / "LOG00001.BBL.part").read_bytes()
     assert len(part) > 4 * 4096 and board.logs[0].startswith(part)

@@ -5,66 +5,59 @@ from __future__ import annotations
 import contextlib
 import os
 import resource
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import neuroflight.cli.policy.train
 from neuroflight.cli.main import main
+from tests.cli.test_train import TINY as TRAINING
+from tests.refusal import refused
 from tests.sampling import sampled
 
 ROOT = Path(__file__).resolve().parents[2]
 Capture = pytest.CaptureFixture[str]
-TINY = [
-    *(
-        "--set",
-        "selection.fit=false",
-        "task=episodic",
-        "task.hold_s=0.05",
-        "hidden=[8,8]",
-        "algorithm.aircraft=8",
-        "algorithm.leg=1",
-    ),
-    *("algorithm.horizon=16", "algorithm.minibatch=64", "--algorithm", "ppo", "--steps", "128"),
-]
-SLOW = 120  # s; a command ends in a few, unless it waits for ever
+TINY = [*TRAINING, "selection.fit=false", "--algorithm", "ppo", "--steps", "128"]
+SLOW = 600  # s; a command ends in a few, on a busy machine in a minute, unless it waits for ever
+CHECK = [sys.executable, "-m", "neuroflight.cli.main", "aircraft", "check", "nf1"]
 
 
-def command(
-    *words: str | Path, stdout: object = subprocess.PIPE, **how: object
-) -> subprocess.CompletedProcess[str]:
-    """A `neuroflight` of its own: limits and standard streams are those of a process."""
-    line = [sys.executable, "-m", "neuroflight.cli.main", *map(str, words)]
-    return subprocess.run(  # type: ignore[call-overload, no-any-return]
-        line, cwd=ROOT, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=SLOW, **how
-    )
+@pytest.fixture(autouse=True)
+def ends() -> Iterator[None]:
+    """Fail a test whose command waits for ever."""
+
+    def late(*_: object) -> None:
+        pytest.fail(f"the command has not ended after {SLOW} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(SLOW)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
 
 
-def one_line(done: subprocess.CompletedProcess[str]) -> str:
-    """What a command that failed said."""
-    assert done.returncode == 1
-    assert done.stderr.startswith("neuroflight: ")
-    assert done.stderr.count("\n") == 1
-    return done.stderr
-
-
-def no_large_files(size: int) -> Callable[[], None]:
-    """To a command the same as a full disk."""
-    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+@contextlib.contextmanager
+def no_large_files(size: int) -> Iterator[None]:
+    """Give this process what is to a command the same as a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_the_command_says_so_when_stdout_is_full() -> None:
     with Path("/dev/full").open("w") as full:
-        line = one_line(command("aircraft", "check", "nf1", stdout=full))
-    assert "No space left on device; make room there" in line
+        done = subprocess.run(CHECK, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1 and "No space left on device; make room there" in done.stderr
 
 
 def test_the_command_says_so_before_the_work_when_stdout_is_closed() -> None:
-    line = one_line(command("aircraft", "check", "nf1", stdout=None, preexec_fn=lambda: os.close(1)))
-    assert "stdout is closed" in line
+    done = subprocess.run(CHECK, stderr=subprocess.PIPE, text=True, preexec_fn=lambda: os.close(1))
+    assert done.returncode == 1 and "stdout is closed" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -81,32 +74,36 @@ def test_the_command_says_so_before_the_work_when_stdout_is_closed() -> None:
 )
 @pytest.mark.parametrize("why", sampled(["no room", "long name"], "no room"))
 def test_a_place_that_takes_no_file_is_told_before_the_work(
-    words: list[str], why: str, tmp_path: Path
+    words: list[str], why: str, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / ("x" * 5000 if why == "long name" else "result")
-    limit = no_large_files(4096) if why == "no room" else None
-    line = one_line(command(*(word.format(out=out) for word in words), preexec_fn=limit))
-    assert ("File too large" if limit else "File name too long; choose a shorter name") in line
+    with no_large_files(4096) if why == "no room" else contextlib.nullcontext():
+        line = refused(capsys, [word.format(out=out) for word in words])
+    told = {"no room": "File too large", "long name": "File name too long; choose a shorter name"}
+    assert told[why] in line
     assert str(tmp_path) in line
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nothing_is_left_when_the_room_ends_while_a_file_is_written(tmp_path: Path) -> None:
+def test_nothing_is_left_when_the_room_ends_while_a_file_is_written(tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "data.csv"
-    line = one_line(command("dyno", "run", "--out", out, preexec_fn=no_large_files(100_000)))
+    with no_large_files(100_000):
+        line = refused(capsys, ["dyno", "run", "--out", out])
     assert line.startswith(f"neuroflight: {out}: File too large; ")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_figures_of_a_flight_are_told_when_the_room_ends_while_it_is_kept(
-    host_program: Path, tmp_path: Path
+    host_program: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     trace, story = tmp_path / "trace.npz", tmp_path.with_name("story.toml")
     story.write_text("[[segment]]\nduration_s = 2.5\nsetpoint_deg_s = [50, 0, 0]\n")
-    words: list[str | Path] = ["fly", "--scenario", story, "--build", host_program.parent, "--trace", trace]
-    done = command(*words, preexec_fn=no_large_files(100_000))
-    assert one_line(done).startswith(f"neuroflight: {trace}: File too large; ")
-    assert "MAE, deg/s" in done.stdout
+    words = ["fly", "--scenario", str(story), "--build", str(host_program.parent), "--trace", str(trace)]
+    with no_large_files(100_000):
+        assert main(words) == 1
+    told = capsys.readouterr()
+    assert told.err.startswith(f"neuroflight: {trace}: File too large; ") and told.err.count("\n") == 1
+    assert "MAE, deg/s" in told.out
     assert list(tmp_path.iterdir()) == []
 
 
@@ -130,13 +127,13 @@ def test_the_figures_of_a_flight_are_told_when_the_room_ends_while_it_is_kept(
 )
 @pytest.mark.parametrize("kind", sampled(["pipe", "device"], "pipe"))
 def test_a_command_ends_at_once_when_its_input_never_does(
-    words: list[str], kind: str, tmp_path: Path
+    words: list[str], kind: str, tmp_path: Path, capsys: Capture
 ) -> None:
     pipe = Path("/dev/zero")
     if kind == "pipe":
         pipe = tmp_path / "pipe"
         os.mkfifo(pipe)
-    one_line(command(*(word.format(pipe=pipe) for word in words)))
+    refused(capsys, [word.format(pipe=pipe) for word in words])
 
 
 def test_a_second_training_is_refused_when_the_first_runs(
@@ -172,9 +169,8 @@ def read_only(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_read_only_place_is_told_before_the_work(read_only: Path) -> None:
-    line = one_line(command("dyno", "run", "--out", read_only / "data.csv"))
-    assert "choose another place" in line
+def test_a_read_only_place_is_told_before_the_work(read_only: Path, capsys: Capture) -> None:
+    assert "choose another place" in refused(capsys, ["dyno", "run", "--out", read_only / "data.csv"])
 
 
 @pytest.mark.parametrize(
@@ -194,10 +190,7 @@ def test_a_read_only_place_is_told_before_the_work(read_only: Path) -> None:
     ],
 )
 def test_a_name_that_no_file_can_have_is_one_line(words: list[str], capsys: Capture) -> None:
-    assert main(words) == 1
-    error = capsys.readouterr().err
-    assert error.startswith("neuroflight: ")
-    assert error.count("\n") == 1
+    refused(capsys, words)
 
 
 def test_an_error_is_cut_when_it_quotes_at_length(capsys: Capture) -> None:

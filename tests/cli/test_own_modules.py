@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +21,7 @@ from onnx import numpy_helper
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.training.plugins import REGISTRIES
 from tests.conftest import ROOT
 
 Capture = pytest.CaptureFixture[str]
@@ -41,22 +45,29 @@ def section(heading: str) -> list[str]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The user's folder, in which he types; what his files register is forgotten after the test."""
     for name, text in files().items():
         (tmp_path / name).write_text(text)
-    return tmp_path
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    with contextlib.ExitStack() as undo:
+        for registry in REGISTRIES.values():
+            before = dict(registry)
+            undo.callback(registry.update, before)
+            undo.callback(registry.clear)
+        yield tmp_path
 
 
 def typed(line: str, folder: Path) -> str:
-    """Run a command as it is printed, in a process of its own; returns what it prints."""
+    """Run a command as it is printed; returns what it prints. A program of his has a process of its own."""
     words = shlex.split(line)
-    program = (
-        [sys.executable, "-m", "neuroflight.cli.main", *words[1:]]
-        if words[0] == "neuroflight"
-        else [sys.executable, *words[1:]]
-    )
+    if words[0] == "neuroflight":
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            assert main(words[1:]) == 0, line
+        return printed.getvalue()
     done = subprocess.run(
-        program,
+        [sys.executable, *words[1:]],
         cwd=folder,
         env=os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
         capture_output=True,

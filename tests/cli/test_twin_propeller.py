@@ -8,6 +8,7 @@ import pytest
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.advance import AdvanceRatio
 from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
+from tests.refusal import refused
 
 ROWS = [(0.1 * k, 0.14 * (1 - 0.1 * k), 0.07 * (1 - 0.05 * k)) for k in range(11)]
 
@@ -71,9 +72,7 @@ def test_a_mistake_is_one_line_and_nothing_is_written(
 ) -> None:
     own = tmp_path / "own.toml"
     own.write_bytes((FOLDER / "nf1.toml").read_bytes())
-    assert main(["aircraft", "propeller", str(table), "--write", str(own), *words]) == 1
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1
+    assert message in refused(capsys, ["aircraft", "propeller", str(table), "--write", str(own), *words])
     assert own.read_bytes() == (FOLDER / "nf1.toml").read_bytes()
 
 

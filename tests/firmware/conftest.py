@@ -68,9 +68,9 @@ HEADERS = (
     "storage/card/sd_crc.h",
     "hal/host/flash_model.h",
     "msp/msp_payload.h",
-    "msp/msp_commands.h",
+    "msp/msp_request.h",
     "command_line/command_line.h",
-    "command_line/printer.h",
+    "common/printer.h",
     "common/nf_math.h",
     "sensing/gyro.h",
     "sensing/filters.h",
@@ -116,7 +116,8 @@ def declarations(generated: Path, scratch: Path) -> str:
         (empty / name).write_text("#define bool _Bool\n" if name == "stdbool.h" else "")
     includes = "".join(f'#include "{name}"\n' for name in HEADERS)
     search = [f"-I{path}" for path in (empty, FIRMWARE, FIRMWARE / "src", generated)]
-    command = ["gcc", "-E", "-P", "-nostdinc", "-D_Static_assert(...)=", *search, "-"]
+    without = ["-D_Static_assert(...)=", "-D__attribute__(...)="]
+    command = ["gcc", "-E", "-P", "-nostdinc", *without, *search, "-"]
     text = subprocess.run(command, input=includes, capture_output=True, text=True, check=True).stdout
     # To cffi a constant is a number that the header tells; these are tables of the library.
     return _with_short_enums(text.replace("extern const struct", "extern struct"))

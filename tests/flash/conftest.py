@@ -6,7 +6,6 @@ import contextlib
 import os
 import select
 import socket
-import subprocess
 import threading
 import tty
 from collections.abc import Callable, Iterator
@@ -15,10 +14,11 @@ from pathlib import Path
 import pytest
 from yamspy import MSPy
 
+from neuroflight.cli.main import main
 from tests.flash.lockstep import booted as booted
+from tests.flash.lockstep import host as host
+from tests.flash.peers import Answer, HostBoard, Run, host_board
 from tests.flash.virtual_pad import plugged as plugged
-
-Answer = Callable[[bytes], bytes]
 
 
 class ScriptedLine:
@@ -137,13 +137,29 @@ def yamspy_peer() -> MSPy:
 @pytest.fixture
 def resting_host(host_program: Path, tmp_path: Path) -> Iterator[str]:
     """The port of a host program whose flash is tmp_path/flash.bin; no sample ever comes to it."""
-    free = [f"--{name}-port=0" for name in ("state", "receiver", "power", "msp")]
-    command = [str(host_program), "--gyro-hz=1000", f"--settings={tmp_path / 'flash.bin'}", *free]
-    with subprocess.Popen([*command, "--with-parent"], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        ready = dict(word.split("=") for word in process.stdout.readline().split()[1:])
-        yield f"tcp:127.0.0.1:{ready['msp']}"
-        process.terminate()
+    with host_board(host_program, tmp_path / "flash.bin", restarts=False) as board:
+        yield board.port
+
+
+@pytest.fixture
+def reviving_host(host_program: Path, tmp_path: Path) -> Iterator[HostBoard]:
+    """A host program whose flash is tmp_path/flash.bin."""
+    with host_board(host_program, tmp_path / "flash.bin") as board:
+        yield board
+
+
+@pytest.fixture
+def msp(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Give it a port and words behind `board`: exit code, stdout, stderr."""
+
+    def run(port: str, *words: str) -> tuple[int, str, str]:
+        code = main(["board", *words, "--port", port])
+        output = capsys.readouterr()
+        assert output.err.count("\n") <= 1
+        assert "\x1b" not in output.out
+        return code, output.out, output.err
+
+    return Run(run)
 
 
 Change = Callable[[bytes], bytes]

@@ -1,7 +1,9 @@
-"""The host program in lockstep with a tool: the tool's time is the program's, and passes while it sleeps."""
+"""The host program in lockstep with a tool, whose time is the program's, or with samples at a test's wish."""
 
 from __future__ import annotations
 
+import struct
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,12 +11,24 @@ from typing import Any
 
 import pytest
 
+from neuroflight.flash.board.info import Info, read_info
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.transport import open_transport
+from neuroflight.toolchain.contract import (
+    BOOT_GRACE_MS,
+    CALIBRATION_MS,
+    RECEIVER_RECOVERY_MS,
+    SIM_RECEIVER_FORMAT,
+)
 from tests.firmware.conftest import Program
 
 GYRO_HZ = 1000
 BOOT_MS = 1300
+BOOT_SAMPLES = (max(BOOT_GRACE_MS, CALIBRATION_MS) + 100) * GYRO_HZ // 1000
+LINK_SAMPLES = (RECEIVER_RECOVERY_MS + 50) * GYRO_HZ // 1000  # until the receiver is believed
+STICKS_DOWN = (1500, 1500, 1000, 1500, 1000, *[1000] * 11)  # roll, pitch, throttle, yaw, arm switch
+SWITCH_ON = (*STICKS_DOWN[:4], 2000, *STICKS_DOWN[5:])
+THROTTLE_UP = (*STICKS_DOWN[:2], 1800, *STICKS_DOWN[3:])
 Motors = tuple[float, ...]
 
 
@@ -81,3 +95,51 @@ def booted(host_program: Path, tmp_path: Path) -> Iterator[Lockstep]:
     """One around the shipped policy that keeps its flash in tmp_path."""
     with lockstep(host_program, f"--settings={tmp_path / 'flash.bin'}") as one:
         yield one
+
+
+class Host:
+    """A program at power-on, with samples at rest and channels for as long as a test lets them come."""
+
+    def __init__(self, program: Program) -> None:
+        self.program = program
+
+    @property
+    def port(self) -> str:
+        return f"tcp:127.0.0.1:{self.program.ports['msp']}"
+
+    def fly(self, samples: int, channels_us: tuple[int, ...]) -> None:
+        """Let so many gyro samples pass at rest with these channels."""
+        for _ in range(samples):
+            self.program.send("receiver", struct.pack(SIM_RECEIVER_FORMAT, 0.0, *channels_us))
+            self.program.step()
+
+    @contextmanager
+    def flying(self, channels_us: tuple[int, ...]) -> Iterator[None]:
+        """Samples come without end, meanwhile."""
+        over = threading.Event()
+
+        def fly() -> None:
+            while not over.is_set():
+                self.fly(10, channels_us)
+
+        pilot = threading.Thread(target=fly)
+        pilot.start()
+        try:
+            yield
+        finally:
+            over.set()
+            pilot.join()
+
+    def info(self) -> Info:
+        with Client(open_transport(self.port)) as client:
+            return read_info(client)
+
+
+@pytest.fixture
+def host(host_program: Path) -> Iterator[Host]:
+    # This gyro has no noise: without it a stuck one and a still one look alike.
+    program = Program(host_program.parent, f"--gyro-hz={GYRO_HZ}", "--set=gyro_stuck_ms=0")
+    try:
+        yield Host(program)
+    finally:
+        program.close()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -31,6 +33,7 @@ STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.array([
 VOLTS, AMPS = 13.6, 21.5  # of a pack under load
 BEEPER, LED = "PC13", "PB9"
 SLOT_S = 0.05  # of the firmware's rhythms
+EMPTY = 0.005  # charge of a pack that has nearly nothing left
 
 
 def fly_on(port: FirmwarePort, charge: float | None) -> Trace:
@@ -79,6 +82,31 @@ def image(board_image: Path) -> Path:
     return board_image.with_suffix(".bin")
 
 
+@dataclass(frozen=True)
+class Told:
+    """A flight of the board, and how it told of its battery."""
+
+    trace: Trace
+    beeper: Pin
+    led: Pin
+    ended_s: float  # of the board's time
+    state: BatteryState
+
+
+@pytest.fixture(scope="module")
+def fly_told(image: Path) -> Callable[[float], Told]:
+    """Flies the board on a pack of that charge, each of them once."""
+
+    @cache
+    def run(charge: float) -> Told:
+        with closing(EmulatedPort(image)) as port:
+            beeper, led = Pin(port, BEEPER), Pin(port, LED)
+            trace = fly_on(port, charge)
+            return Told(trace, beeper, led, port.board.cycle / TIME_HZ, ask_board(port))
+
+    return run
+
+
 @pytest.fixture
 def open_port(
     image: Path, host_program: Path, reference_library: Path
@@ -104,7 +132,7 @@ def test_the_firmware_measures_the_battery_that_its_port_is_told(
 ) -> None:
     with closing(open_port[name]()) as port:
         port.set_battery(VOLTS, AMPS)
-        for _ in range(5000):
+        for _ in range(3000):
             port.exchange(STILL, None)
         state = ASK[name](port)
     assert state.voltage_v == pytest.approx(VOLTS, abs=0.02)  # a step of the converter is 9 mV
@@ -125,36 +153,30 @@ GOOD, WARNING, CRITICAL = (
     [
         pytest.param(0.9, GOOD, marks=pytest.mark.slow),
         pytest.param(0.05, WARNING, marks=pytest.mark.slow),
-        (0.005, CRITICAL),
+        (EMPTY, CRITICAL),
     ],
 )
 def test_msp_beeper_and_led_tell_when_the_twins_pack_is_nearly_empty(
-    image: Path, charge: float, told: tuple[BatteryLevel, set[int], int]
+    fly_told: Callable[[float], Told], charge: float, told: tuple[BatteryLevel, set[int], int]
 ) -> None:
     level, beeps, least = told
-    with closing(EmulatedPort(image)) as port:
-        beeper, led = Pin(port, BEEPER), Pin(port, LED)
-        trace = fly_on(port, charge)
-        ended = port.board.cycle / TIME_HZ
-        state = ask_board(port)
-    began = ended - trace.t[-1] - 0.05
-    assert state.level == level
-    heard = beeper.slots(True, began)
+    flight = fly_told(charge)
+    began = flight.ended_s - flight.trace.t[-1] - 0.05
+    assert flight.state.level == level
+    heard = flight.beeper.slots(True, began)
     assert set(heard) == beeps
     assert len(heard) >= least
-    dark = led.slots(True, began)  # the LED is lit by a low pin
+    dark = flight.led.slots(True, began)  # the LED is lit by a low pin
     assert dark.count(2) >= 3 if level is BatteryLevel.CRITICAL else not dark
 
 
 def test_the_policys_flight_is_the_same_on_board_host_and_library_when_the_battery_sags(
-    open_port: dict[str, Callable[[], BatteryPort]],
+    fly_told: Callable[[float], Told], open_port: dict[str, Callable[[], BatteryPort]]
 ) -> None:
-    traces = []
-    for opened in open_port.values():
-        with closing(opened()) as port:
-            traces.append(fly_on(port, 0.05))
-    board, *others = traces
-    assert all(board.same(other) for other in others)
+    board = fly_told(EMPTY).trace
+    for name in ("host", "library"):
+        with closing(open_port[name]()) as port:
+            assert board.same(fly_on(port, EMPTY)), name
     with closing(open_port["library"]()) as port:
         assert not board.same(fly_on(port, None)), "the bench supply does not sag"
 

@@ -16,6 +16,7 @@ from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.analysis.metrics import figures
 from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.flight import loop
 from neuroflight.sim.flight.loop import fly
 from neuroflight.sim.flight.scenario import Scenario, Segment, pulses
 from neuroflight.sim.flight.trace import Trace
@@ -101,9 +102,12 @@ def test_the_link_fails_clearly_when_it_dies_in_flight(betaflight: Betaflight) -
             port.exchange(STILL, None)
 
 
-def test_it_names_its_reason_when_it_does_not_arm(betaflight: Betaflight, flown: Flown) -> None:
+def test_it_names_its_reason_when_it_does_not_arm(
+    betaflight: Betaflight, flown: Flown, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "ARM_LIMIT_S", 3.0)
     patient = (*SETTINGS, "set pwr_on_arm_grace = 30")
-    with pytest.raises(LinkError, match=r"did not arm within 10 s .*: .*BOOT_GRACE_TIME"):
+    with pytest.raises(LinkError, match=r"did not arm within 3 s .*: .*BOOT_GRACE_TIME"):
         flown(BetaflightPort(betaflight, 1000, patient), TURN)
 
 

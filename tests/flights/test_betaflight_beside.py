@@ -21,13 +21,8 @@ from neuroflight.sim.control import sticks
 from neuroflight.sim.physics.imu import counts
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.ports.betaflight.build import build_betaflight
-from neuroflight.sim.ports.betaflight.fleet import (
-    ArmedBetaflight,
-    BetaflightFleet,
-    dshot_of_widths,
-    wire_rates,
-)
-from neuroflight.sim.ports.betaflight.port import IDLE, state_packet
+from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet
+from neuroflight.sim.ports.betaflight.port import IDLE, dshot_of_widths, state_packet, wire_rates
 from neuroflight.sim.ports.port import Sample
 from neuroflight.sim.ports.simulator_link import STATE
 from neuroflight.toolchain.contract import GRAVITY

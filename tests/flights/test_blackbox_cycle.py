@@ -32,11 +32,11 @@ CHIP = np.array([-1, -1, 1])  # the chip is mounted CW180: its axes from the bod
 PORTS = {"reference": ReferencePort, "host": HostPort, "emulator": EmulatedPort}
 MINUTE = 14  # commands of `pulses`, 4.5 s each
 STORY = """[[segment]]
-duration_s = 0.3
+duration_s = 0.2
 setpoint_deg_s = [100, -50, 30]
 throttle = 0.3
 [[segment]]
-duration_s = 0.3
+duration_s = 0.2
 setpoint_deg_s = [-100, 0, 0]
 throttle = 0.3
 controller = "pid"
@@ -46,7 +46,7 @@ setpoint_deg_s = [0, 0, 0]
 throttle = 0.2
 receiver = "lost"
 [[segment]]
-duration_s = 0.3
+duration_s = 0.2
 setpoint_deg_s = [50, 0, 0]
 throttle = 0.2
 """
@@ -54,7 +54,7 @@ TROUBLE = (
     "--fault",
     "overload=0.0006@0.1",
     "--fault",
-    "gyro-silent=0.012@1.0",
+    "gyro-silent=0.012@0.8",
 )  # fallback, lost samples, a fault
 STOPPED = 3  # the command's exit code where a fault stops the motors
 

@@ -24,7 +24,7 @@ from tests.modelled_policy import FLYING_GAIN, GAIN, SPREAD, modelled_policy
 
 CONTROL_RATE_HZ = 2000
 MAE_DEG_S = 8.0  # of a P controller on a pulse; the aircraft left alone is off by some 20
-SHORT = Scenario("short", (Segment(0.1), Segment(0.3, (120.0, -90.0, 60.0)), Segment(0.2)))
+SHORT = Scenario("short", (Segment(0.05), Segment(0.2, (120.0, -90.0, 60.0)), Segment(0.1)))
 Flown = Callable[..., Trace]
 
 

@@ -36,7 +36,7 @@ BUSY = Scenario(
     "busy",
     tuple(Segment(0.05, (150.0 * (-1) ** k, 40.0 * k, -30.0 * k), 0.1 * k) for k in range(8)),
 )
-CRSF = 1  # the setting receiver_protocol
+BY_CRSF = {"receiver_protocol": 1, "gyro_stuck_ms": 0}
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 9.80665]))
 
 
@@ -49,7 +49,7 @@ def image(board_image: Path) -> Path:
 def test_crsf_at_another_gyro_rate_flies_the_same_bits_when_the_image_is_set_so(
     image: Path, reference_library: Path, flown: Flown
 ) -> None:
-    on_board = flown(EmulatedPort(image, 1000, {"receiver_protocol": CRSF}), BUSY)
+    on_board = flown(EmulatedPort(image, 1000, BY_CRSF), BUSY)
     assert flown(ReferencePort(reference_library, 1000), BUSY).same(on_board)
 
 
@@ -92,7 +92,7 @@ def test_a_switch_that_is_on_since_power_up_arms_nothing_until_it_was_off(image:
     def frames(board: Board, count: int, *, on: bool) -> None:
         """So many, 4 ms apart, from now on."""
         channels = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=on).tolist()
-        line, begin = board.hardware.usarts["USART2"], board.hardware.usarts["USART2"].context.cycle
+        line, begin = board.hardware.usarts["USART2"], board.cycle
         for k in range(count):
             end = begin + (k + 1) * TIME_HZ // 250
             line.feed(b"\xc8\x3e" + crsf_frame(channels), CRSF_FORMAT, end=end)
@@ -106,8 +106,7 @@ def test_a_switch_that_is_on_since_power_up_arms_nothing_until_it_was_off(image:
         replies = [port.exchange(STILL, None) for _ in range(round(seconds * 1000))]
         return any(reply.armed for reply in replies)
 
-    settings = {"receiver_protocol": CRSF, "gyro_stuck_ms": 0}
-    with closing(EmulatedPort(image, 1000, settings, attach=powered)) as port:
+    with closing(EmulatedPort(image, 1000, BY_CRSF, attach=powered)) as port:
         assert not arms(2.5, on=True)
         assert port.arming_reasons() == ("SWITCH_NOT_CYCLED",)
         assert not arms(0.1, on=False)
@@ -179,6 +178,7 @@ def test_every_gyro_chip_flies_the_same_bits_when_the_pilot_has_said_how_it_is_t
     assert flown(ReferencePort(reference_library), BUSY).same(on_board)
 
 
+@pytest.mark.slow
 def test_an_icm20689_ends_the_flight_when_the_pilot_has_said_another_way(image: Path, flown: Flown) -> None:
     port = EmulatedPort(image, gyro=GYROS["icm20689"], settings=dict([parse_change("gyro_alignment=cw180")]))
     trace = flown(port, BUSY)

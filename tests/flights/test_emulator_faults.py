@@ -93,12 +93,18 @@ def image(board_image: Path) -> Path:
     return board_image.with_suffix(".bin")
 
 
+def take_off(image: Path, *faults: str) -> Still:
+    """One that was just armed."""
+    still = Still(EmulatedPort(image, faults=[parse_fault(fault) for fault in faults]))
+    still.fly(1.1, armed=False)
+    still.fly(0.2, until=lambda reply: reply.armed)
+    return still
+
+
 @pytest.fixture(scope="module")
 def started(image: Path) -> Iterator[tuple[Still, Any]]:
     """A flight of 50 ms, and a snapshot at its end."""
-    still = Still(EmulatedPort(image))
-    still.fly(1.1, armed=False)
-    still.fly(0.2, until=lambda reply: reply.armed)
+    still = take_off(image, "hang@3000")  # a fault that never comes: so that the watchdog resets the board
     still.fly(START_S - 1 / RATE)
     yield still, still.save()
     still.port.close()
@@ -192,7 +198,7 @@ def test_it_arms_again_in_the_field_when_the_pilot_acknowledges_the_fault_by_sti
 ) -> None:
     still = started[0]
     drill("brown-out@0.06", seconds=0.45)
-    still.fly(1.7, armed=False)
+    still.fly(1.4, armed=False)
     assert still.port.arming_reasons() == ("FAULT",)
     still.fly(0.1)
     still.fly(0.1, armed=False)
@@ -202,21 +208,31 @@ def test_it_arms_again_in_the_field_when_the_pilot_acknowledges_the_fault_by_sti
     assert still.fly(0.2, until=lambda reply: reply.armed)[-1].armed
 
 
-@pytest.mark.parametrize(
-    ("fault", "cause", "noticed_s"), [("hang", "iwdg", SILENT_S), ("processor-fault", "software", 0.001)]
-)
-def test_stop_frames_follow_the_reset_when_the_program_ends(
-    image: Path, fault: str, cause: str, noticed_s: float
+def assert_stops(
+    replies: list[Reply], events: list[Event], cause: str, noticed_s: float, begun_s: float = 0.0
 ) -> None:
-    still = Still(EmulatedPort(image, faults=[parse_fault(f"{fault}@0.01")]))
-    still.fly(1.1, armed=False)
-    still.fly(0.2, until=lambda reply: reply.armed)
-    replies = still.fly(1.0)
-    _, _, reset, boot, *_ = still.port.events
+    """The program ended 10 ms after the first of the replies, which came at `begun_s`."""
+    reset, boot, *_ = events
     assert (reset.what, reset.stops) == (f"reset: {cause}", True)
     assert turning(replies) <= 0.01 + noticed_s + STOP_FRAMES_S
-    assert not any(reply.dshot.any() for reply in replies[round((reset.at_s + STOP_FRAMES_S) * RATE) :])
+    assert not any(
+        reply.dshot.any() for reply in replies[round((reset.at_s - begun_s + STOP_FRAMES_S) * RATE) :]
+    )
     assert boot.what == "the firmware has booted and reads its gyro"
+
+
+def test_stop_frames_follow_the_reset_when_the_program_hangs(
+    drill: Drill, started: tuple[Still, Any]
+) -> None:
+    replies, events = drill(f"hang@{START_S + 0.01}", seconds=1.0)
+    assert_stops(replies, events, "iwdg", SILENT_S, START_S)
+    assert "FAULT" in started[0].port.arming_reasons()
+
+
+def test_stop_frames_follow_the_reset_when_the_processor_faults(image: Path) -> None:
+    still = take_off(image, "processor-fault@0.01")
+    replies = still.fly(0.5)
+    assert_stops(replies, list(still.port.events)[2:], "software", 0.001)
     assert "FAULT" in still.port.arming_reasons()
     still.port.close()
 
@@ -360,7 +376,7 @@ def test_missed_deadlines_are_counted_when_one_control_step_is_slow(
         while port.events[-1].what == "ARMED":
             still.fly(1 / RATE)
     still.fly(3 / RATE)  # with the sample at which it began one control period, so that one step is slow
-    port.board.engine.poke(calls, normal)
+    port.board.engine.set_memory(calls, normal)
     still.fly(0.02)
     after = read(port, board_image, "stats")[Task.CONTROL]
     assert missed_deadlines(port.board, board_image) == missed
@@ -371,6 +387,7 @@ def test_missed_deadlines_are_counted_when_one_control_step_is_slow(
     assert (load.misses, load.worst_cycles) == (missed, after["worst"])
 
 
+@pytest.mark.slow
 def test_the_receiver_is_lost_in_its_time_when_the_processor_is_overloaded(drill: Drill) -> None:
     _, (hold, drop) = drill(f"overload={OVERLOAD_S}@0.06", "receiver-broken@0.06", seconds=1.3)
     assert (hold.what, drop.what) == ("FAILSAFE_HOLD", "FAILSAFE_DROP: RECEIVER")
@@ -389,7 +406,7 @@ def test_an_overloaded_board_does_not_arm_and_says_why(started: tuple[Still, Any
     refused = "POLICY_REFUSED"  # the PID had to take over
     assert port.arming_reasons() == (refused, "LOAD")
     assert not any(reply.armed for reply in still.fly(0.1))
-    port.board.engine.poke(calls, normal)
+    port.board.engine.set_memory(calls, normal)
     still.fly(LOAD_CALM_MS / 1000, armed=False)
     assert port.arming_reasons() == (refused, "LOAD")
     still.fly(0.2, armed=False)

@@ -30,7 +30,7 @@ from neuroflight.toolchain.contract import FLASH_BASE, IMAGE_PROBATION_MS, MSP_B
 from neuroflight.toolchain.image.elf import read_flashable
 from tests.conftest import BUILD, build_beside
 from tests.flash.image.emulated import BAUD, Wired
-from tests.flash.policies import another_policy
+from tests.flash.policy.policies import another_policy
 from tests.flash.rom.conftest import Rig
 
 IMAGE_S, SWAP_S = 30.0, 5.0  # what an image and a policy may take of the board's time, restarts included

@@ -28,14 +28,14 @@ from neuroflight.toolchain.cortex_m7.disassembly import disassemble
 
 Flown = Callable[..., Trace]
 MINUTE = load_scenario("pulses", seed=5, count=14)
-CHANGE, HOLD_S = 5, 0.25  # commands from one controller to the other; how long each is held
+CHANGE, HOLD_S = 5, 0.1  # commands from one controller to the other; how long each is held
 
 
-def five_seconds() -> Scenario:
+def two_seconds() -> Scenario:
     """Commands like those of `pulses`, closer together; the PID begins, the policy takes over, twice."""
     commands = np.random.default_rng(5).normal(0.0, 100.0, (20, 3)).tolist()
     return Scenario(
-        "five seconds",
+        "two seconds",
         tuple(
             Segment(HOLD_S, (roll, pitch, yaw), 0.1 * (k % 9), pid=k // CHANGE % 2 == 0)
             for k, (roll, pitch, yaw) in enumerate(commands)
@@ -52,14 +52,14 @@ def image(board_image: Path) -> Path:
 def test_the_image_flies_the_bits_of_the_host_program_when_controllers_change(
     image: Path, host_program: Path, flown: Flown
 ) -> None:
-    on_board = flown(EmulatedPort(image), five_seconds())
-    assert len(on_board.t) == 5_000
+    on_board = flown(EmulatedPort(image), two_seconds())
+    assert len(on_board.t) == 2_000
     assert np.ptp(on_board.dshot, axis=0).min() > 1_000  # every motor has something to do
-    assert flown(HostPort(host_program), five_seconds()).same(on_board)
+    assert flown(HostPort(host_program), two_seconds()).same(on_board)
 
 
 def test_flights_differ_when_another_controller_flies(reference_library: Path, flown: Flown) -> None:
-    policy = Scenario("half a second", five_seconds().segments[CHANGE : CHANGE + 2])
+    policy = Scenario("a part", two_seconds().segments[CHANGE : CHANGE + 2])
     flights = [flown(ReferencePort(reference_library), each) for each in (policy, policy.under_pid())]
     assert not np.array_equal(flights[0].dshot, flights[1].dshot)
 
@@ -84,7 +84,7 @@ def test_the_image_flies_the_bits_of_the_host_build_for_a_minute(
 def test_the_bits_are_the_same_when_the_gyro_chips_clock_has_another_phase(
     image: Path, reference_library: Path, flown: Flown, phase_us: int
 ) -> None:
-    segments = five_seconds().segments[CHANGE - 1 : CHANGE + 1]
+    segments = two_seconds().segments[CHANGE - 1 : CHANGE + 1]
     scenario = Scenario("some", segments)
 
     def later(board: Board) -> Callable[[int], None]:
@@ -150,10 +150,9 @@ def flown_once(port: EmulatedPort, scenario: Scenario) -> Trace:
 
 @pytest.fixture(scope="module")
 def recorded(image: Path) -> Iterator[RecordedPort]:
-    """A flight of 0.3 s with a snapshot in its middle; the policy takes over from the PID in it."""
-    segments = five_seconds().segments[CHANGE - 1 : CHANGE + 1]
-    scenario = Scenario("some", (Segment(0.15, segments[0].setpoint_deg_s, pid=True), segments[1]))
-    with closing(RecordedPort(image, armed_for=560)) as port:
+    """A flight of 0.2 s with a snapshot in its middle; the policy takes over from the PID in it."""
+    scenario = Scenario("some", two_seconds().segments[CHANGE - 1 : CHANGE + 1])
+    with closing(RecordedPort(image, armed_for=360)) as port:
         flown_once(port, scenario)
         yield port
 
@@ -214,7 +213,7 @@ def handled(port: EmulatedPort) -> TaskCount:
 
 @pytest.mark.slow
 def test_two_flights_are_the_same_when_they_begin_alike_or_in_the_middle_of_one(image: Path) -> None:
-    scenario = Scenario("two seconds", five_seconds().segments[:8])
+    scenario = two_seconds()
     with closing(RecordedPort(image, armed_for=4_000)) as port, closing(EmulatedPort(image)) as other:
         trace = flown_once(port, scenario)
         first = facts(port)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from neuroflight.sim.control.controller import PolicyController
-from neuroflight.sim.flight.scenario import Scenario, Segment, load_scenario
+from neuroflight.sim.flight.scenario import Scenario, Segment
 from neuroflight.sim.flight.trace import Trace, load_trace, save_trace
 from neuroflight.sim.ports.host import HostPort
 from neuroflight.sim.ports.library import ReferencePort
@@ -28,7 +28,7 @@ def test_a_host_flight_repeats_bit_for_bit_when_flown_twice(
     host_program: Path, flown: Flown, tmp_path: Path
 ) -> None:
     for name in ("a.npz", "b.npz"):
-        save_trace(tmp_path / name, flown(HostPort(host_program), load_scenario("pulse", seed=1)))
+        save_trace(tmp_path / name, flown(HostPort(host_program), BUSY))
     assert load_trace(tmp_path / "a.npz").same(load_trace(tmp_path / "b.npz"))
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
@@ -71,6 +71,6 @@ def test_the_toolchains_interpreter_flies_the_compiled_policys_bits_when_behind_
         mix=policy.mix,
         gyro_mean=policy.gyro_mean,
     )
-    scenario = TOUCHED if standing else BUSY
+    scenario = TOUCHED if standing else Scenario("busy", BUSY.segments[2:6])
     firmware = ReferencePort(reference_library, settings={"ground_detection": int(standing)})
     assert flown(in_python, scenario).same(flown(firmware, scenario))

@@ -96,7 +96,7 @@ def test_an_aircraft_of_reversed_motors_flies_when_set_so(built: Built, tmp_path
     A network has learnt to answer the body's own coupling of the axes, which reversed rotors leave as it is:
     its errors are up to two and a half times as large, as docs/reference/settings.md says.
     """
-    scenario = pulses(7, 4)
+    scenario = pulses(7, 2)
     scenario = scenario.under_pid() if pid else scenario
     mirrored = tuple(
         replace(

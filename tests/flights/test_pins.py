@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +28,14 @@ from neuroflight.sim.board.serial.idle_board import configured
 from neuroflight.sim.control import sticks
 from neuroflight.sim.ports.emulator import EmulatedPort, PortSnapshot
 from neuroflight.sim.ports.port import Sample
-from neuroflight.toolchain.contract import ARMING_DELAY_MS, GRAVITY, MOTOR_TEST_MAGIC, Msp
+from neuroflight.toolchain.contract import CALIBRATION_MS, GRAVITY, MOTOR_TEST_MAGIC, Msp
 from neuroflight.toolchain.image.elf import read_flashable
 from tests.sampling import sampled
 
 MOTORS = 4
 LEVEL = np.array([0.0, 0.0, GRAVITY])
 TURN = 1.0  # rad/s
+ORDINARY = (("icm20602", False), ("icm20689", False), ("icm20689", True), ("mpu9250", False))  # chip, said
 # Places in the ecosystem's app's list of gyro chips at API 1.47, which has L3G4200D and MPU3050 no more.
 _APP = "AUTO NONE MPU6050 L3GD20 MPU6000 MPU6500 MPU9250 ICM20601 ICM20602 ICM20608G ICM20649 ICM20689"
 APP_NUMBERS = {name: number for number, name in enumerate(_APP.split())}
@@ -52,7 +54,7 @@ class Bench:
         )
         line = LineTransport(UartLine(self.board), self.board.run_to)
         self.client = Client(line, line.clock)
-        self.board.run(ARMING_DELAY_MS / 1000 + 0.5)
+        self.board.run(CALIBRATION_MS / 1000 + 0.5)
 
     def reasons(self) -> set[str]:
         """What forbids arming."""
@@ -74,23 +76,23 @@ def test_a_motor_turns_on_its_own_line_when_it_is_asked_for(board_image: Path) -
         bench.board.close()
 
 
-@pytest.mark.parametrize("name", sampled(GYROS, "icm20602", "icm20689", "mpu9250"))
-@pytest.mark.parametrize("said", [False, True])
+@pytest.mark.parametrize("chip", sampled(product(GYROS, (False, True)), *ORDINARY), ids=str)
 def test_a_disputed_gyro_arms_only_when_the_pilot_has_said_how_it_is_turned(
-    board_image: Path, said: bool, name: str
+    board_image: Path, chip: tuple[str, bool]
 ) -> None:
+    name, said = chip
     flash = read_flashable(board_image.with_suffix(".bin"))
     if said:
         flash = configured(flash, board_image, {"gyro_alignment": 2.0})
-    chip = GYROS[name].chip
-    bench = Bench(flash, board_image, chip)
-    held = bench.reasons() - {"RECEIVER_LOST", "SWITCH_NOT_CYCLED", "NOT_LEVEL"}
+    kind = GYROS[name].chip
+    bench = Bench(flash, board_image, kind)
+    held = bench.reasons() - {"BOOT_GRACE", "RECEIVER_LOST", "SWITCH_NOT_CYCLED", "NOT_LEVEL"}
     told = read_overview(bench.client).flight
     hardware = bench.client.request(Msp.GYRO_SENSOR), bench.client.request(Msp.SENSOR_CONFIG_ACTIVE)[:1]
     bench.board.close()
-    assert hardware == (bytes([1, APP_NUMBERS[chip.name]]), bytes([APP_NUMBERS[chip.name]]))
-    assert told is not None and told.gyro_chip == f"{chip.name} (0x{chip.who_am_i:02X})"
-    known = said or chip in (ICM20602, MPU6500)
+    assert hardware == (bytes([1, APP_NUMBERS[kind.name]]), bytes([APP_NUMBERS[kind.name]]))
+    assert told is not None and told.gyro_chip == f"{kind.name} (0x{kind.who_am_i:02X})"
+    known = said or kind in (ICM20602, MPU6500)
     assert held == (set() if known else {"GYRO_ALIGNMENT"})
 
 

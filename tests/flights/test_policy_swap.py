@@ -20,7 +20,7 @@ from neuroflight.sim.flight.trace import Trace
 from neuroflight.sim.ports.emulator import EmulatedPort
 from neuroflight.sim.ports.library import ReferencePort
 from tests.conftest import BUILD, build_beside
-from tests.flash.policies import another_policy
+from tests.flash.policy.policies import another_policy
 
 Flown = Callable[..., Trace]
 FLIGHT = Scenario(

@@ -39,7 +39,7 @@ class Pins:
         self.board = Board(bytes(flash), elf=elf, chip=chip, strict=False, watchdog_resets=True)
         self.board.hardware.gyro.measure((0, 0, 2048), 0, (0, 0, 0))
         self.frames: list[Frame] = []
-        self.board.hardware.on_frame = self.frames.append
+        self.board.hardware.hear_frames(self.frames.append)
 
     def run(self, seconds: float) -> None:
         self.board.run(seconds)
@@ -56,7 +56,7 @@ class Pins:
     def never_feeds(self) -> None:
         """From now on the program's feeding of the watchdog does nothing."""
         engine = self.board.engine
-        engine.poke(self.board.symbols["hal_watchdog_feed"] & ~1, bytes.fromhex("7047"))  # bx lr
+        engine.set_memory(self.board.symbols["hal_watchdog_feed"] & ~1, bytes.fromhex("7047"))  # bx lr
 
     def send_msp(self, command: Msp) -> None:
         """A request on the MSP line."""

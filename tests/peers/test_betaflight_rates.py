@@ -13,6 +13,7 @@ from neuroflight.sim.blackbox.rates import Style, readings
 from neuroflight.sim.blackbox.sticks import is_stick
 from neuroflight.sim.blackbox.units import channels
 from tests.peers.betaflight_logs import VIRTUAL, flown, save
+from tests.sampling import PROVES
 
 FULL_RATE = ("set blackbox_sample_rate = 1/1", "set blackbox_high_resolution = ON", "set rc_smoothing = OFF")
 AXES = ("roll", "pitch", "yaw")
@@ -30,8 +31,9 @@ ROUNDED = 0.0501  # [deg/s] half of the tenths that are logged
 def sticks(path: Path) -> Path:
     """Write a scenario of random stick positions on each axis, of which a fifth are at the ends."""
     rng = np.random.default_rng(6)
+    size = (60 if PROVES else 24, 3)
     places = np.where(
-        rng.random((60, 3)) < 0.2, rng.choice([-1000, 1000], (60, 3)), 2 * rng.integers(-500, 501, (60, 3))
+        rng.random(size) < 0.2, rng.choice([-1000, 1000], size), 2 * rng.integers(-500, 501, size)
     )
     strokes = [
         f"[[segment]]\nduration_s = 0.1\nsetpoint_deg_s = {row}\nthrottle = 0.3\n" for row in places.tolist()

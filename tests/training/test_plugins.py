@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import pickle
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,9 +15,10 @@ import pytest
 from neuroflight.cli.main import main
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.config.config_file import load_config
-from neuroflight.training.plugins import REGISTRIES, load_plugin, plugins_of
+from neuroflight.training.plugins import REGISTRIES, load_plugin, plugins_of, users_own
 from neuroflight.training.tasks.registry import TASKS
 from neuroflight.training.tasks.reward import REWARDS, Transition
+from neuroflight.training.tasks.task import PulseTask
 from tests.conftest import ROOT
 
 Capture = pytest.CaptureFixture[str]
@@ -67,7 +67,6 @@ TINY += ["algorithm.minibatch=64", "selection.fit=false", "checkpoint_steps=128"
 @pytest.fixture
 def write(tmp_path: Path) -> Iterator[Write]:
     """Return what writes a user's file; what it registers is forgotten after the test."""
-    before = {kind: dict(registry) for kind, registry in REGISTRIES.items()}
     name = f"test-{hashlib.sha256(str(tmp_path).encode()).hexdigest()[:16]}"
 
     def written(*parts: str) -> tuple[Path, str]:
@@ -76,9 +75,16 @@ def write(tmp_path: Path) -> Iterator[Write]:
         return path, name
 
     yield written
-    for kind, registry in REGISTRIES.items():
-        registry.clear()
-        registry.update(before[kind])
+    forget()
+
+
+def forget() -> None:
+    """Know of no user's file, as another process begins."""
+    for registry in REGISTRIES.values():
+        for name in [name for name, kind in registry.items() if users_own(kind)]:
+            del registry[name]
+    for name in [name for name in sys.modules if name.startswith("neuroflight_plugin_")]:
+        del sys.modules[name]
 
 
 def transition(aircraft: int = 5) -> Transition:
@@ -105,21 +111,16 @@ def test_a_reward_is_a_key_of_the_configuration_with_its_limits(write: Write) ->
         load_config("ppo", ["reward=nobodys"])
 
 
-def test_a_run_stores_its_files_and_asks_for_the_same(write: Write, tmp_path: Path, capsys: Capture) -> None:
+def test_a_run_stores_its_files_and_asks_for_the_same(
+    write: Write, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "neuroflight.training.checkpoints.monitor.FLIGHT", PulseTask(idle_s=0.0, command_s=0.1, rest_s=0.1)
+    )
     path, name = write(REWARD, TASK)
     own = ["--plugin", str(path)]
-    words = [
-        "policy",
-        "train",
-        "--algorithm",
-        "ppo",
-        "--set",
-        f"reward={name}",
-        f"task={name}",
-        *TINY,
-        "--steps",
-        "128",
-    ]
+    words = ["policy", "train", "--algorithm", "ppo", "--steps", "128"]
+    words += ["--set", f"reward={name}", f"task={name}", *TINY]
     out = ["--out", str(tmp_path / "run")]
     assert main([*words, *own, *out, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
@@ -132,14 +133,11 @@ def test_a_run_stores_its_files_and_asks_for_the_same(write: Write, tmp_path: Pa
     run, frozen = tmp_path / "run", tmp_path / "frozen.onnx"
     anew = ["policy", "train", "--config", str(run / "training.json"), "--out", str(tmp_path / "anew")]
     freeze = ["policy", "import", str(run / "checkpoint.pt"), "--out", str(frozen)]
-    commands = [anew, again, [*again, *own], freeze]
-    program = f"from neuroflight.cli.main import main; print([main(words) for words in {commands!r}])"
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
-    )  # another process: here the file has been run
-    assert done.stdout.splitlines()[-1] == "[1, 1, 0, 0]", done.stderr
-    assert f"was trained with the plug-in mine.py, SHA-256 {kept['sha256'][:12]}" in done.stderr
-    assert f"task.name: got '{name}', expected one of" in done.stderr
+    forget()
+    assert [main(each) for each in (anew, again, [*again, *own], freeze)] == [1, 1, 0, 0]
+    told = capsys.readouterr().err
+    assert f"was trained with the plug-in mine.py, SHA-256 {kept['sha256'][:12]}" in told
+    assert f"task.name: got '{name}', expected one of" in told
     assert frozen.read_bytes() == (run / "policy.onnx").read_bytes()  # and needs no file of the user's
 
     path.write_text(path.read_text() + "\n# another\n")
@@ -165,11 +163,11 @@ def test_an_object_is_known_in_another_process(write: Write) -> None:
     path, name = write(REWARD)
     load_plugin(path)
     config = load_config("ppo", [f"reward={name}", "reward.change=3"])
-    program = "import pickle, sys; c = pickle.load(sys.stdin.buffer); print(c.reward.name, c.reward.change)"
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, input=pickle.dumps(config), capture_output=True, check=True
-    )
-    assert done.stdout.decode().split() == [name, "3.0"]
+    data = pickle.dumps(config)
+    forget()
+    other = pickle.loads(data)
+    assert (other.reward.name, other.reward.change) == (name, 3.0)
+    assert type(other.reward) is not type(config.reward)
     assert plugins_of(config.task, config.reward) == [
         {"file": "mine.py", "sha256": REWARDS[name].plugin.sha256}  # type: ignore[attr-defined]
     ]
@@ -195,7 +193,6 @@ def test_a_room_is_told_by_its_name_when_it_is_imported_without_the_package(
             [REWARD.replace('"NAME"', '"tracking"')],
             "reward tracking: the name is taken by this program's own",
         ),
-        ([REWARD.replace('"NAME"', '"No Name"')], "name 'No Name', expected name: ClassVar"),
         (
             [REWARD.replace("frozen=True", "frozen=False")],
             r"Worst: expected a class under @dataclass\(frozen",
@@ -218,8 +215,6 @@ def test_a_file_is_refused_in_one_line(write: Write, parts: list[str], message: 
     ("body", "message"),
     [
         ("return step.error", r"returned shape \(5, 3\), expected \(5,\): one number for each aircraft"),
-        ("return -1.0", r"returned shape \(\), expected \(5,\)"),
-        ("return ['a'] * 5", "expected numbers of shape"),
         ("return [1, [2]]", "expected numbers of shape"),
         ("return np.log(-np.abs(step.error[:, 0]))", "returned nan, expected finite numbers"),
         ("return 1 / 0", r"mine\.py, line 20: ZeroDivisionError: division by zero"),
@@ -268,12 +263,15 @@ def test_a_sweep_varies_a_users_reward_and_flies_his_task(
     other = tmp_path / "other.py"
     other.write_text((HEAD + TASK).replace("NAME", f"{name}-flown"))
     sweep = tmp_path / "sweep.toml"
-    sets = "\n".join([*TINY, f'reward = "{name}"', "steps = 128"])
+    sets = "\n".join(
+        [*TINY, 'task = {name = "episodic", hold_s = 0.05}', f'reward = "{name}"', "steps = 128"]
+    )
     sweep.write_text(
-        f'aircraft = "nf1"\nconfig = "ppo"\n[set]\n{sets}\n[vary]\nreward.change = [1.0, 2.0]\n'
+        f'aircraft = "nf1"\nconfig = "ppo"\n[set]\n{sets}\n[vary]\nreward.change = [3.0]\n'
         f'[validation]\ntask = "{name}-flown"\nepisodes = 2\n'
     )
     words = ["policy", "sweep", str(sweep), "--out", str(tmp_path / "out"), "--cpus", "1", "--json"]
     assert main([*words, "--plugin", str(path), "--plugin", str(other)]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert all(run["outcome"] for run in told["runs"])
+    [run] = told["runs"]
+    assert run["outcome"] and run["varied"] == {"reward.change": 3.0}

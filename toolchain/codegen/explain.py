@@ -5,18 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from neuroflight.toolchain.codegen.compiler import CompiledPolicy, compile_network
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.network import OBSERVATION, Network
-from neuroflight.toolchain.ir.operations import (
-    Affine,
-    Clip,
-    Elu,
-    Gru,
-    LeakyRelu,
-    Linear,
-    Lstm,
-    Operation,
-    Slice,
-)
 from neuroflight.toolchain.passes import Size, operations, optimize, size, weight_bytes
 from neuroflight.toolchain.passes.equivalence import Equivalence, check_equivalence
 from neuroflight.toolchain.policy.model import PolicyModel
@@ -95,24 +85,24 @@ def node_facts(network: Network) -> tuple[NodeFacts, ...]:
     )
 
 
-def describe(operation: Operation) -> str:
+def describe(operation: op.Operation) -> str:
     """Describe an operation in a few words, without its weights."""
     name = type(operation).__name__
     match operation:
-        case Linear():
+        case op.Linear():
             return f"{name} {operation.inputs} → {operation.outputs}"
-        case Gru() | Lstm():
+        case op.Gru() | op.Lstm():
             return f"{name} {operation.input_weight.shape[1]} → {operation.units}"
-        case Affine(scale, offset):
+        case op.Affine(scale, offset):
             scaled, moved = bool((scale != 1).any()), bool(offset.any())
             return f"{name} {'a x' if scaled else 'x'}{' + b' if moved else ''}"
-        case LeakyRelu(factor) | Elu(factor):
+        case op.LeakyRelu(factor) | op.Elu(factor):
             return f"{name} {factor:.4g}"
-        case Clip(low, high):
+        case op.Clip(low, high):
             return (
                 f"{name} {'…' if low is None else f'{low:.4g}'} to {'…' if high is None else f'{high:.4g}'}"
             )
-        case Slice(start, count, step):
+        case op.Slice(start, count, step):
             every = "" if step == 1 or count == 1 else f", every {step}"
             return f"{name} {start} to {start + (count - 1) * step}{every}"
     return name

@@ -11,41 +11,17 @@ import numpy as np
 from neuroflight.toolchain.codegen.kernel_calls import BLOCK, BufferPlace, Call
 from neuroflight.toolchain.codegen.scratch_allocation import PendingCall
 from neuroflight.toolchain.codegen.weight_table import block_part, lanes_part, padded_gates
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, ActivationTable
 from neuroflight.toolchain.ir.float32 import Float32
 from neuroflight.toolchain.ir.lanes import LANES, padded
 from neuroflight.toolchain.ir.network import Network, Node
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Affine,
-    Clip,
-    Concat,
-    Elu,
-    Erf,
-    Gru,
-    LayerNorm,
-    LeakyRelu,
-    Linear,
-    Lstm,
-    Multiply,
-    Norm,
-    Relu,
-    RmsNorm,
-    Select,
-    Sigmoid,
-    Silu,
-    Slice,
-    Softmax,
-    Softplus,
-    Softsign,
-    Tanh,
-)
 
 TABLES = (  # tables of functions, and the operations that look them up
-    (TANH, (Tanh, Sigmoid, Silu, Gru, Lstm)),
-    (EXPM1, (Elu, Softmax)),
-    (ERF, (Erf,)),
-    (SOFTPLUS, (Softplus,)),
+    (TANH, (op.Tanh, op.Sigmoid, op.Silu, op.Gru, op.Lstm)),
+    (EXPM1, (op.Elu, op.Softmax)),
+    (ERF, (op.Erf,)),
+    (SOFTPLUS, (op.Softplus,)),
 )
 
 
@@ -80,7 +56,7 @@ class Lowering:
         for node in network.nodes[:-1]:
             values.append(self._lower(node, [values[number] for number in node.inputs]))
         last = network.nodes[-1]
-        assert isinstance(last.operation, Clip), "a policy's last node is its Clip"
+        assert isinstance(last.operation, op.Clip), "a policy's last node is its Clip"
         (value,) = (values[number] for number in last.inputs)
         if not self.table:
             self._store(np.zeros(LANES, np.float32))  # C has no empty array
@@ -90,52 +66,52 @@ class Lowering:
     def _lower(self, node: Node, inputs: list[_Value]) -> _Value:
         x = inputs[0]
         match node.operation:
-            case Linear(weight, bias):
+            case op.Linear(weight, bias):
                 return self._linear(weight, bias, x)
-            case Affine(scale, offset):
+            case op.Affine(scale, offset):
                 table = self._store(lanes_part(scale), lanes_part(offset))
                 return self._map("affine", [x], table=table)
-            case Tanh():
+            case op.Tanh():
                 return self._look_up(TANH, x)
-            case Sigmoid():
+            case op.Sigmoid():
                 return self._sigmoid(self._map("half", [x]))
-            case Silu():
+            case op.Silu():
                 return self._map("silu", [x, self._look_up(TANH, self._map("half", [x]))])
-            case Softsign():
+            case op.Softsign():
                 return self._map("softsign", [x])
-            case Erf():
+            case op.Erf():
                 return self._look_up(ERF, x)
-            case Softplus():
+            case op.Softplus():
                 return self._map("elu", [x, self._look_up(SOFTPLUS, x)], constants=(1.0,))
-            case Relu():
+            case op.Relu():
                 return self._map("at_least", [x], constants=(0.0,))
-            case LeakyRelu(slope):
+            case op.LeakyRelu(slope):
                 return self._map("leaky", [x], constants=(slope,))
-            case Elu(alpha):
+            case op.Elu(alpha):
                 return self._map("elu", [x, self._look_up(EXPM1, x)], constants=(alpha,))
-            case Clip(low, high):
+            case op.Clip(low, high):
                 kernel = "clip" if None not in (low, high) else "at_most" if low is None else "at_least"
                 bounds = _bounds(node.operation)
                 return self._map(kernel, [x], constants=bounds) if bounds else x
-            case LayerNorm():
+            case op.LayerNorm():
                 return self._norm("layer_norm", node.operation, x)
-            case RmsNorm():
+            case op.RmsNorm():
                 return self._norm("rms_norm", node.operation, x)
-            case Softmax():
+            case op.Softmax():
                 return self._reduce("shares", self._look_up(EXPM1, self._reduce("below_largest", x)))
-            case Add():
+            case op.Add():
                 return self._map("add", inputs)
-            case Multiply():
+            case op.Multiply():
                 return self._map("multiply", inputs)
-            case Select():
+            case op.Select():
                 return self._map("select", inputs)
-            case Concat():
+            case op.Concat():
                 return self._concat(inputs)
-            case Slice(start, count, step):
+            case op.Slice(start, count, step):
                 return self._slice(x, start, count, step)
-            case Gru():
+            case op.Gru():
                 return self._gru(node.operation, x)
-            case Lstm():
+            case op.Lstm():
                 return self._lstm(node.operation, x)
             case never:
                 assert_never(never)
@@ -168,7 +144,7 @@ class Lowering:
     def _sigmoid(self, half: _Value) -> _Value:
         return self._map("sigmoid", [self._look_up(TANH, half)])
 
-    def _norm(self, kernel: str, norm: Norm, x: _Value) -> _Value:
+    def _norm(self, kernel: str, norm: op.Norm, x: _Value) -> _Value:
         table = self._store(lanes_part(norm.scale), lanes_part(norm.offset))
         return self._reduce(kernel, x, table=table, constants=(1 / x.count, norm.epsilon))
 
@@ -220,7 +196,7 @@ class Lowering:
         self._emit("copy", target, (part,), count, inputs=step)
         return target
 
-    def _gru(self, cell: Gru, x: _Value) -> _Value:
+    def _gru(self, cell: op.Gru, x: _Value) -> _Value:
         units, room = cell.units, padded(cell.units)
         h = self._state(units)
         weights = [padded_gates(array, units) for array in (cell.input_weight, cell.state_weight)]
@@ -235,7 +211,7 @@ class Lowering:
         self._map("blend", [update, h, candidate], target=h)
         return h
 
-    def _lstm(self, cell: Lstm, x: _Value) -> _Value:
+    def _lstm(self, cell: op.Lstm, x: _Value) -> _Value:
         units, room = cell.units, padded(cell.units)
         h, c = self._state(units), self._state(units)
         none = np.zeros_like(cell.bias)
@@ -292,5 +268,5 @@ def _part(value: _Value, start: int, count: int) -> _Value:
     return replace(value, place=replace(value.place, offset=value.place.offset + start), count=count)
 
 
-def _bounds(clip: Clip) -> tuple[float, ...]:
+def _bounds(clip: op.Clip) -> tuple[float, ...]:
     return tuple(bound + 0.0 for bound in (clip.low, clip.high) if bound is not None)  # never -0

@@ -77,10 +77,9 @@ LOG_BAUDS = (115200, 230400, 460800, 921600, 1_000_000, 1_500_000, 2_000_000)  #
 LOG_BAUD_DEFAULT = 2_000_000
 LOG_DIVIDERS = (1, 2, 4, 8, 16)  # of the control rate, the setting blackbox_divider
 LOG_FILE_PREFIX, LOG_FILE_SUFFIX = "LOG", ".BBL"  # LOG00001.BBL ..
+LOG_NUMBER_MAX = 99_999
+LOG_FILE_MIB, LOG_FILE_MIB_MAX = 64, 4095  # at 100 kB/s 11 minutes; FAT32's limit is 4 GB less one byte
 LOG_ERASE_MAGIC = 0x45534152  # "RASE", little-endian: blanks all logs of the card
 LOG_NAME_BYTES = 12  # of a log's file: 8.3
-LOG_INFO_LOGGING, LOG_INFO_LOSSY = (
-    0x01,
-    0x02,
-)  # flags of LOG_INFO: being written; current or last one lacks steps
+LOG_INFO_LOGGING, LOG_INFO_LOSSY = 0x01, 0x02  # flags: being written; current or last one lacks steps
 LOG_INFO_LOOKING = 0x04  # still looking for files: there may be more logs

@@ -146,19 +146,7 @@ def image_header(image: bytes | bytearray) -> ImageHeader | None:
     if told["magic"] != IMAGE_MAGIC:
         return None
     board = told["board"].partition(b"\0")[0].decode("latin-1")
-    return ImageHeader(
-        layout=told["layout"],
-        bank=told["bank"],
-        image_bytes=told["image_bytes"],
-        crc=told["crc"],
-        version=".".join(str(part) for part in told["version"][:3]),
-        build=told["build"],
-        board="".join(c if " " <= c <= "~" else "?" for c in board),
-        architecture_hash=told["architecture_hash"],
-        filters_hash=told["filters_hash"],
-        control_rate_hz=told["control_rate_hz"],
-        weight_count=told["weight_count"],
-        observation_count=told["observation_count"],
-        action_count=told["action_count"],
-        raw=bytes(image[IMAGE_HEADER_OFFSET:end]),
-    )
+    told["board"] = "".join(c if " " <= c <= "~" else "?" for c in board)
+    told["version"] = ".".join(str(part) for part in told["version"][:3])
+    told["raw"] = bytes(image[IMAGE_HEADER_OFFSET:end])
+    return ImageHeader(**{name: told[name] for name in ImageHeader.__dataclass_fields__})

@@ -7,8 +7,9 @@ configuration messages and docs/reference/msp.md are rendered from them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import partial
 
 __all__ = ["Bound", "MspField", "MspGroup", "MspHow", "MspSource"]
 NUMBERS = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i", "f32": "f"}  # in struct
@@ -120,9 +121,12 @@ Fields = tuple[MspField | MspGroup, ...]
 
 
 # --- How the tables of the other files are written ------------------------------------------------
-def number(kind: str, name: str, unit: str = "", meaning: str = "") -> MspField:
-    """Describe a field with one number."""
-    return MspField(name, kind, unit, meaning)
+def number(kind: str, name: str, unit: str = "", meaning: str = "", count: int = 1) -> MspField:
+    """Describe a field with one number, or with `count`."""
+    return MspField(name, kind, unit, meaning, count)
+
+
+u8, i8, u16, i16, u32, i32, f32 = (partial(number, kind) for kind in NUMBERS)
 
 
 def numbers(kind: str, names: str, unit: str = "", meaning: str = "") -> tuple[MspField, ...]:
@@ -130,19 +134,43 @@ def numbers(kind: str, names: str, unit: str = "", meaning: str = "") -> tuple[M
     return tuple(MspField(name, kind, unit, meaning) for name in names.split())
 
 
-def bound(kind: str, name: str, to: Bound, unit: str = "", meaning: str = "", count: int = 1) -> MspField:
-    """Describe a field of a configuration message."""
-    return MspField(name, kind, unit, meaning, count, to)
+def text(name: str, meaning: str = "", count: int = 0) -> MspField:
+    """Describe a text of `count` characters; 0: up to the end."""
+    return MspField(name, "text", "", meaning, count)
 
 
-def told(kind: str, name: str, to: Bound, unit: str = "", meaning: str = "") -> MspField:
+def counted(name: str, meaning: str = "") -> MspField:
+    """Describe a text behind its length."""
+    return MspField(name, "counted", "", meaning)
+
+
+def octets(name: str, meaning: str = "", count: int = 0) -> MspField:
+    """Describe `count` bytes; 0: up to the end."""
+    return MspField(name, "bytes", "", meaning, count)
+
+
+def bound(
+    kind: str, name: str, to: Bound | MspSource | int, unit: str = "", meaning: str = "", count: int = 1
+) -> MspField:
+    """Describe a field of a configuration message; to: a number alone is a constant."""
+    if isinstance(to, MspSource):
+        to = source(to)
+    return MspField(name, kind, unit, meaning, count, to if isinstance(to, Bound) else constant(to))
+
+
+def told(kind: str, name: str, to: Bound | MspSource | int, unit: str = "", meaning: str = "") -> MspField:
     """Describe a field that a SET ignores, because another field brings its value too."""
-    return MspField(name, kind, unit, meaning, bound=to, told_only=True)
+    return replace(bound(kind, name, to, unit, meaning), told_only=True)
 
 
 def zeros(kind: str, names: str) -> tuple[MspField, ...]:
     """Describe fields that this firmware does not use: only 0 is sent and accepted."""
     return tuple(MspField(name, kind, bound=constant(0)) for name in names.split())
+
+
+def ignored(kind: str, names: str) -> tuple[MspField, ...]:
+    """Describe fields that are told as 0, of which a SET may bring any."""
+    return tuple(MspField(name, kind, bound=unused()) for name in names.split())
 
 
 def flat(fields: Fields) -> Iterator[MspField]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from neuroflight.toolchain.contract.msp_fields import Fields, MspField, MspGroup
+from neuroflight.toolchain.contract.msp_fields import Fields, MspField
 from neuroflight.toolchain.contract.msp_table import Msp
 
 __all__ = ["Configuration", "Direction", "MspLayout"]
@@ -27,7 +27,6 @@ class MspLayout:
     direction: Direction
     fields: Fields = ()
     required: int | None = None  # None: all
-    meaning: str = ""
 
     @property
     def needed(self) -> int:
@@ -44,18 +43,14 @@ class Configuration:
     read_first: bool = False  # a SET needs that its peer was told: all its zeros mean something
 
 
-def reply(
-    message: Msp, *fields: MspField | MspGroup, required: int | None = None, meaning: str = ""
-) -> MspLayout:
+def reply(message: Msp, *fields: MspField) -> MspLayout:
     """Describe the reply of a message."""
-    return MspLayout(message, Direction.REPLY, fields, required, meaning)
+    return MspLayout(message, Direction.REPLY, fields)
 
 
-def request(
-    message: Msp, *fields: MspField | MspGroup, required: int | None = None, meaning: str = ""
-) -> MspLayout:
+def request(message: Msp, *fields: MspField, required: int | None = None) -> MspLayout:
     """Describe the request of a message."""
-    return MspLayout(message, Direction.REQUEST, fields, required, meaning)
+    return MspLayout(message, Direction.REQUEST, fields, required)
 
 
 def pair(

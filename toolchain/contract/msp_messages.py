@@ -11,12 +11,9 @@ _SETS = {pair.request.message: pair.read_first for pair in CONFIGURATIONS if pai
 LAYOUTS = (
     *(layout for pair in CONFIGURATIONS for layout in (pair.reply, pair.request) if layout is not None),
     *(
-        MspLayout(message, direction, told.fields, told.required, told.meaning)
+        MspLayout(message, direction, told.fields, told.required)
         for message in Msp
-        for direction, told in (
-            (Direction.REQUEST, message.row.request),
-            (Direction.REPLY, message.row.reply),
-        )
+        for direction, told in zip(Direction, (message.row.request, message.row.reply), strict=True)
         if told is not None
     ),
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
+from functools import partial
 
 from neuroflight.toolchain.contract.blackbox import LOG_ERASE_MAGIC, LOG_NAME_BYTES
 from neuroflight.toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
@@ -22,7 +23,22 @@ from neuroflight.toolchain.contract.msp import (
     MSP_STREAM_RATE_MAX_HZ,
     Refusal,
 )
-from neuroflight.toolchain.contract.msp_fields import Fields, MspField, MspGroup, number, numbers
+from neuroflight.toolchain.contract.msp_fields import (
+    Fields,
+    MspField,
+    MspGroup,
+    counted,
+    f32,
+    i8,
+    i16,
+    number,
+    numbers,
+    octets,
+    text,
+    u8,
+    u16,
+    u32,
+)
 from neuroflight.toolchain.contract.policy_format import SHA256_BYTES
 from neuroflight.toolchain.contract.receiver import CHANNEL_COUNT
 from neuroflight.toolchain.contract.settings import AT_ONCE, SETTING_TEXT_BYTES
@@ -65,10 +81,7 @@ class Payload:
 
     fields: Fields
     required: int | None = None  # None: all
-    meaning: str = ""
-    sizes: tuple[int, int] | None = (
-        None  # of a request, shortest and longest [bytes]; None: as its fields say
-    )
+    sizes: tuple[int, int] | None = None  # shortest and longest request [bytes]; None: as its fields say
 
 
 @dataclass(frozen=True)
@@ -80,32 +93,25 @@ class Message:
     request: Payload | None = None  # None: empty, or that of a configuration message
     reply: Payload | None = None
     access: Access = field(default_factory=Access)
-    acknowledges: Access | None = (
-        None  # when the fields that are not required come: command_<name>_acknowledge
-    )
+    acknowledges: Access | None = None  # with the fields not required: command_<name>_acknowledge
     once: bool = False  # doing it twice is not doing it once: it is never sent again unasked
 
 
 def payload(
-    *fields: MspField | MspGroup,
-    required: int | None = None,
-    meaning: str = "",
-    sizes: tuple[int, int] | None = None,
+    *fields: MspField | MspGroup, required: int | None = None, sizes: tuple[int, int] | None = None
 ) -> Payload:
     """Return a payload of these fields."""
-    return Payload(fields, required, meaning, sizes)
+    return Payload(fields, required, sizes)
 
 
-def tells(
-    number: int, *fields: MspField | MspGroup, required: int | None = None, meaning: str = ""
-) -> Message:
+def tells(number: int, *fields: MspField | MspGroup, required: int | None = None) -> Message:
     """Return the row of a message that only reads."""
-    return Message(number, Answers.REPLY, reply=payload(*fields, required=required, meaning=meaning))
+    return Message(number, Answers.REPLY, reply=payload(*fields, required=required))
 
 
 def acts(
-    number: int,
     when: MspWhen,
+    number: int,
     refusals: tuple[Refusal, ...] = (),
     request: Payload | None = None,
     reply: Payload | None = None,
@@ -115,7 +121,12 @@ def acts(
 ) -> Message:
     """Return the row of a message with a function of its own; one of another size is refused as PAYLOAD."""
     access = Access(when, (Refusal.PAYLOAD, *refusals), note)
+    request = payload() if request is None and reply is None else request
     return Message(number, Answers.COMMAND, request, reply, access, acknowledges, once)
+
+
+# Rows of `acts` by when they may come.
+asks, stopped, stores = (partial(acts, when) for when in (MspWhen.ALWAYS, MspWhen.STOPPED, MspWhen.STORING))
 
 
 def configures(number: int, *refusals: Refusal, note: str = "") -> Message:
@@ -148,41 +159,30 @@ def set_access(read_first: bool, note: str = "") -> Access:
 
 _READ_FIRST = "refused as `order` until this peer has read its counterpart, as its zeros mean something"
 _R = Refusal
-_ALWAYS, _STOPPED, _STORING = MspWhen.ALWAYS, MspWhen.STOPPED, MspWhen.STORING
+_STOPPED, _STORING = MspWhen.STOPPED, MspWhen.STORING
 _STARTED = (
     "REBOOT starts it; `blob` where no slot holds a policy that it can fly; may be repeated: the number stays"
 )
 _BOTH = "while the other bank's image is started next, or is the one to go back to"
 _LOG_ORDER = "`absent` where the device keeps no logs, `order` while one is written"
+_WRITES = (_R.ORDER, _R.FLASH, _R.ABSENT)
+_LOGS = (_R.INDEX, _R.ORDER, _R.LOG, _R.ABSENT)
 _US = "us"
 
-
-def _text(name: str, count: int, meaning: str = "") -> MspField:
-    return MspField(name, "text", "", meaning, count)
-
-
-def _counted(name: str, meaning: str = "") -> MspField:
-    return MspField(name, "counted", "", meaning)
-
-
-def _bytes(name: str, count: int, meaning: str = "") -> MspField:
-    return MspField(name, "bytes", "", meaning, count)
-
-
-def _array(kind: str, name: str, count: int, unit: str = "", meaning: str = "") -> MspField:
-    return MspField(name, kind, unit, meaning, count)
-
-
-_SETTING = number("u16", "setting", "", "its index: place in docs/reference/settings.md, from 0")
-_KIND = number("u8", "kind", "", "0 u32, 1 f32, 2 mode range packed in a u32, 3 text")
+_SETTING = u16("setting", "", "its index: place in docs/reference/settings.md, from 0")
+_KIND = u8("kind", "", "0 u32, 1 f32, 2 mode range packed in a u32, 3 text")
 _HEADER_FIELDS = ", ".join(field.name for field in IMAGE_FIELDS)
-_LOG = number("u16", "log", "", "its index, from 0")
-_STATE = number("u8", "state", "", "0 done, 1 under way: ask again")
+_LOG = u16("log", "", "its index, from 0")
+_STATE = u8("state", "", "0 done, 1 under way: ask again")
 _LIMIT = "as the kind says; of a text its length"
 
 
-def _value(name: str, meaning: str) -> MspField:
-    return MspField(name, "bytes", "", meaning, 4)
+def _piece(of: str) -> Payload:
+    return payload(
+        u32("offset", "bytes", "a multiple of 4: where the last one ended"),
+        octets("data", f"of the {of}, a multiple of 4"),
+        sizes=(8, MSP_PAYLOAD_MAX),
+    )
 
 
 def _list(name: str, kind: str, unit: str, meaning: str) -> MspGroup:
@@ -190,36 +190,35 @@ def _list(name: str, kind: str, unit: str, meaning: str) -> MspGroup:
 
 
 _STATUS = (
-    number("u16", "cycle_time", _US, "control period"),
-    number("u16", "i2c_errors"),
-    number("u16", "sensors", "bits", "0 accelerometer, 5 gyro"),
-    number("u32", "modes", "bits", "in the order of BOXIDS"),
-    number("u8", "profile"),
-    number("u16", "load", "%"),
+    u16("cycle_time", _US, "control period"),
+    u16("i2c_errors"),
+    u16("sensors", "bits", "0 accelerometer, 5 gyro"),
+    u32("modes", "bits", "in the order of BOXIDS"),
+    u8("profile"),
+    u16("load", "%"),
 )
 _ARMING = (
-    number("u8", "further_modes", "bytes"),
-    number("u8", "arming_flag_count"),
-    number("u32", "arming_flags", "bits", "the ecosystem's numbers, see Numbers"),
-    number("u8", "configuration_state", "bits"),
-    number("u16", "core_temperature", "deg C"),
-    number("u8", "rate_profiles"),
+    u8("further_modes", "bytes"),
+    u8("arming_flag_count"),
+    u32("arming_flags", "bits", "the ecosystem's numbers, see Numbers"),
+    u8("configuration_state", "bits"),
+    u16("core_temperature", "deg C"),
+    u8("rate_profiles"),
 )
 _RANGE = (
-    number("u8", "mode"),
-    number("u8", "aux", "", "0 is AUX 1"),
-    number("u8", "low", "25 us above 900"),
-    number("u8", "high", "25 us above 900"),
+    u8("mode"),
+    u8("aux", "", "0 is AUX 1"),
+    u8("low", "25 us above 900"),
+    u8("high", "25 us above 900"),
 )
-_LOGIC = (number("u8", "logic", "", "1: and the others"), number("u8", "linked", "", "0"))
+_LOGIC = (u8("logic", "", "1: and the others"), u8("linked", "", "0"))
 _PORT = (
-    number("u8", "port", "", "0 is UART1"),
-    number("u32", "functions", "bits", "0 MSP, 6 serial receiver, 7 blackbox"),
+    u8("port", "", "0 is UART1"),
+    u32("functions", "bits", "0 MSP, 6 serial receiver, 7 blackbox"),
     *numbers("u8", "msp_baud gps_baud telemetry_baud blackbox_baud", "", "index of 0, 9600, 19200 .."),
 )
-_PORT_OLD = (_PORT[0], number("u16", "functions", "bits", "the lower ones"), *_PORT[2:])
-_OUTPUTS = MspGroup("outputs", (number("u8", "output", "", "of the motor, from 0"),), counted=True)
-
+_PORT_OLD = (_PORT[0], u16("functions", "bits", "the lower ones"), *_PORT[2:])
+_OUTPUTS = MspGroup("outputs", (u8("output", "", "of the motor, from 0"),), counted=True)
 
 _ROWS: dict[int, Message] = {}
 
@@ -243,41 +242,40 @@ class Msp(IntEnum):
         return _ROWS[self.value]
 
     API_VERSION = tells(1, *numbers("u8", "protocol major minor"))
-    FC_VARIANT = tells(2, _text("variant", 4, "as the setting msp_variant says"))
+    FC_VARIANT = tells(2, text("variant", "as the setting msp_variant says", 4))
     FC_VERSION = tells(
-        3, *numbers("u8", "year month patch"), _counted("release", "of Betaflight, that has this API")
+        3, *numbers("u8", "year month patch"), counted("release", "of Betaflight, that has this API")
     )
     BOARD_INFO = tells(
         4,
-        _text("board", 4),
-        number("u16", "revision"),
-        number("u8", "type", "", "0 a flight controller, 2 one with an OSD chip"),
-        number("u8", "capabilities", "bits"),
-        _counted("target"),
-        _counted("board_name", "firmware, version and policy"),
-        _counted("maker"),
-        _bytes("signature", 32),
-        number("u8", "mcu", "", "255: not told"),
-        number("u8", "configuration_state", "", "2: set up"),
-        number("u16", "gyro_rate", "Hz"),
-        number("u32", "problems", "bits"),
+        text("board", count=4),
+        u16("revision"),
+        u8("type", "", "0 a flight controller, 2 one with an OSD chip"),
+        u8("capabilities", "bits"),
+        counted("target"),
+        counted("board_name", "firmware, version and policy"),
+        counted("maker"),
+        octets("signature", count=32),
+        u8("mcu", "", "255: not told"),
+        u8("configuration_state", "", "2: set up"),
+        u16("gyro_rate", "Hz"),
+        u32("problems", "bits"),
         *numbers("u8", "spi_devices i2c_devices"),
-        meaning="which board",
     )
     BUILD_INFO = tells(
         5,
-        _text("date", 11),
-        _text("time", 8),
-        _text("revision", 7),
-        MspGroup("options", (number("u16", "option", "", "0 ends them"),), meaning="what was built in"),
+        text("date", count=11),
+        text("time", count=8),
+        text("revision", count=7),
+        MspGroup("options", (u16("option", "", "0 ends them"),), meaning="what was built in"),
     )
-    NAME = tells(10, _text("name", 0, "the craft's, or while it has none the policy's"))
+    NAME = tells(10, text("name", "the craft's, or while it has none the policy's"))
     BATTERY_CONFIG = 32
     SET_BATTERY_CONFIG = 33
     MODE_RANGES = lists(34, reply=payload(MspGroup("ranges", _RANGE, count=MODE_SLOT_COUNT)))
     SET_MODE_RANGE = changes(
         35,
-        payload(number("u8", "slot"), *_RANGE, *_LOGIC, required=5),
+        payload(u8("slot"), *_RANGE, *_LOGIC, required=5),
         read_first=True,
         note="; a refused range leaves its slot empty",
     )
@@ -313,11 +311,10 @@ class Msp(IntEnum):
     SET_ARMING_CONFIG = 62
     RX_MAP = 64
     SET_RX_MAP = 65
-    REBOOT = acts(
+    REBOOT = stopped(
         68,
-        _STOPPED,
         (_R.ABSENT,),
-        request=payload(number("u8", "kind", "", "0"), required=0),
+        request=payload(u8("kind", "", "0"), required=0),
         note="kind 0, or none, starts the firmware, 1 the boot loader in the chip's ROM, "
         "`absent` on the host program",
         once=True,
@@ -329,15 +326,11 @@ class Msp(IntEnum):
         77,
         reply=payload(
             MspGroup(
-                "channels",
-                (number("u8", "mode", "", "0 centred, 1 held"), number("u16", "value", _US)),
-                count=CHANNEL_COUNT,
+                "channels", (u8("mode", "", "0 centred, 1 held"), u16("value", _US)), count=CHANNEL_COUNT
             )
         ),
     )
-    SET_RXFAIL_CONFIG = changes(
-        78, payload(number("u8", "channel"), number("u8", "mode"), number("u16", "value", _US))
-    )
+    SET_RXFAIL_CONFIG = changes(78, payload(u8("channel"), u8("mode"), u16("value", _US)))
     SDCARD_SUMMARY = 79
     BLACKBOX_CONFIG = 80
     SET_BLACKBOX_CONFIG = 81
@@ -349,14 +342,12 @@ class Msp(IntEnum):
     SET_PID_ADVANCED = 95
     SENSOR_CONFIG = 96
     SET_SENSOR_CONFIG = 97
-    # nothing arms while a peer says so; the ecosystem's motor test
-    ARMING_DISABLE = acts(
+    ARMING_DISABLE = asks(
         99,
-        _ALWAYS,
         (_R.ARMED, _R.ABSENT),
         request=payload(
-            number("u8", "disabled", "", "1: nothing arms from now on"),
-            number("u8", "runaway_off", "", "1, with disabled 0: opens the motor test"),
+            u8("disabled", "", "1: nothing arms from now on"),
+            u8("runaway_off", "", "1, with disabled 0: opens the motor test"),
             required=1,
         ),
         reply=payload(),
@@ -365,56 +356,49 @@ class Msp(IntEnum):
         "anew",
         once=True,
     )
-    STATUS = tells(101, *_STATUS, number("u16", "gyro_cycle_time", _US), *_ARMING)
+    STATUS = tells(101, *_STATUS, u16("gyro_cycle_time", _US), *_ARMING)
     RAW_IMU = tells(
         102,
-        _array("i16", "acceleration", 3, "1/2048 g"),
-        _array("i16", "gyro", 3, "4/16.4 deg/s"),
-        _array("i16", "magnetometer", 3),
+        i16("acceleration", "1/2048 g", count=3),
+        i16("gyro", "4/16.4 deg/s", count=3),
+        i16("magnetometer", count=3),
     )
-    MOTOR = tells(104, _array("u16", "motors", MOTOR_COUNT_MAX, _US, "1000 stopped, 0: there is none"))
-    RC = tells(105, _array("u16", "channels", CHANNEL_COUNT, _US, "roll, pitch, yaw, throttle, AUX 1 .."))
+    MOTOR = tells(104, u16("motors", _US, "1000 stopped, 0: there is none", MOTOR_COUNT_MAX))
+    RC = tells(105, u16("channels", _US, "roll, pitch, yaw, throttle, AUX 1 ..", CHANNEL_COUNT))
     ATTITUDE = tells(
         108,
-        number("i16", "roll", "0.1 deg", "right +"),
-        number("i16", "pitch", "0.1 deg", "nose down +"),
-        number("i16", "heading", "deg", "to the right, from where it woke up"),
+        i16("roll", "0.1 deg", "right +"),
+        i16("pitch", "0.1 deg", "nose down +"),
+        i16("heading", "deg", "to the right, from where it woke up"),
     )
     ALTITUDE = 109
     ANALOG = tells(
         110,
-        number("u8", "voltage_coarse", "0.1 V"),
-        number("u16", "drawn", "mAh"),
-        number("u16", "rssi", "1/1023"),
-        number("i16", "current", "0.01 A"),
-        number("u16", "voltage", "0.01 V"),
+        u8("voltage_coarse", "0.1 V"),
+        u16("drawn", "mAh"),
+        u16("rssi", "1/1023"),
+        i16("current", "0.01 A"),
+        u16("voltage", "0.01 V"),
     )
     RC_TUNING = 111
     PID = 112
-    BOXNAMES = tells(116, _text("names", 0, "of the modes, each ended by ;"))
-    PIDNAMES = tells(117, _text("names", 0, "of the rows of PID, each ended by ;"))
-    BOXIDS = tells(
-        119, MspGroup("ids", (number("u8", "id"),), meaning="of the modes, in the order of their bits")
-    )
+    BOXNAMES = tells(116, text("names", "of the modes, each ended by ;"))
+    PIDNAMES = tells(117, text("names", "of the rows of PID, each ended by ;"))
+    BOXIDS = tells(119, MspGroup("ids", (u8("id"),), meaning="of the modes, in the order of their bits"))
     MOTOR_3D_CONFIG = 124
     RC_DEADBAND = 125
     SENSOR_ALIGNMENT = 126
-    VOLTAGE_METERS = tells(128, MspGroup("meters", (number("u8", "id"), number("u8", "voltage", "0.1 V"))))
-    CURRENT_METERS = tells(
-        129,
-        MspGroup(
-            "meters", (number("u8", "id"), number("u16", "drawn", "mAh"), number("u16", "current", "mA"))
-        ),
-    )
+    VOLTAGE_METERS = tells(128, MspGroup("meters", (u8("id"), u8("voltage", "0.1 V"))))
+    CURRENT_METERS = tells(129, MspGroup("meters", (u8("id"), u16("drawn", "mAh"), u16("current", "mA"))))
     BATTERY_STATE = tells(
         130,
-        number("u8", "cells"),
-        number("u16", "capacity", "mAh"),
-        number("u8", "voltage_coarse", "0.1 V"),
-        number("u16", "drawn", "mAh"),
-        number("i16", "current", "0.01 A"),
-        number("u8", "state", "", "0 good, 1 warning, 2 critical, 3 none"),
-        number("u16", "voltage", "0.01 V"),
+        u8("cells"),
+        u16("capacity", "mAh"),
+        u8("voltage_coarse", "0.1 V"),
+        u16("drawn", "mAh"),
+        i16("current", "0.01 A"),
+        u8("state", "", "0 good, 1 warning, 2 critical, 3 none"),
+        u16("voltage", "0.01 V"),
     )
     MOTOR_CONFIG = 131
     COMPASS_CONFIG = 133
@@ -422,33 +406,26 @@ class Msp(IntEnum):
     SET_SIMPLIFIED_TUNING = 141
     VALIDATE_SIMPLIFIED_TUNING = 145
     STATUS_EX = tells(150, *_STATUS, *numbers("u8", "profiles rate_profile"), *_ARMING)
-    UID = tells(160, _array("u32", "uid", 3))
+    UID = tells(160, u32("uid", count=3))
     BEEPER_CONFIG = 184
     SET_BEEPER_CONFIG = 185
-    # sticks, where the receiver is MSP
-    SET_RAW_RC = acts(
+    SET_RAW_RC = asks(
         200,
-        _ALWAYS,
         (_R.ABSENT, _R.ORDER),
-        request=payload(MspGroup("channels", (number("u16", "channel", _US),)), sizes=(8, 2 * CHANNEL_COUNT)),
+        request=payload(MspGroup("channels", (u16("channel", _US),)), sizes=(8, 2 * CHANNEL_COUNT)),
         note="`absent` unless the setting `receiver_protocol` is msp; `order` before the last "
         "channels were taken",
         once=True,
     )
     SET_PID = 202
     SET_RC_TUNING = 204
-    # all settings to their defaults, stored
-    RESET_CONF = acts(
-        208, _STORING, (_R.CONFLICT, _R.FLASH, _R.ABSENT), request=payload(), note="stores the defaults"
-    )
+    RESET_CONF = stores(208, (_R.CONFLICT, _R.FLASH, _R.ABSENT), note="stores the defaults")
     # motor test, once MOTOR_TEST or ARMING_DISABLE has opened it
-    SET_MOTOR = acts(
+    SET_MOTOR = stopped(
         214,
-        _STOPPED,
         (_R.INDEX, _R.RANGE, _R.ORDER, _R.ABSENT),
         request=payload(
-            MspGroup("motors", (number("u16", "motor", _US, "1000 or 0: stopped"),)),
-            sizes=(2, 2 * MOTOR_COUNT_MAX),
+            MspGroup("motors", (u16("motor", _US, "1000 or 0: stopped"),)), sizes=(2, 2 * MOTOR_COUNT_MAX)
         ),
         note="`order` without an open motor test, `range` above its limits for a motor and for all together; "
         "values that stop are always taken; as many values as the aircraft has motors, none above 1125, of a "
@@ -460,17 +437,13 @@ class Msp(IntEnum):
     SET_SENSOR_ALIGNMENT = 220
     SET_MOTOR_CONFIG = 222
     SET_COMPASS_CONFIG = 224
-    MODE_RANGES_EXTRA = lists(
-        238, reply=payload(MspGroup("ranges", (number("u8", "mode"), *_LOGIC), counted=True))
-    )
+    MODE_RANGES_EXTRA = lists(238, reply=payload(MspGroup("ranges", (u8("mode"), *_LOGIC), counted=True)))
     SET_ACC_TRIM = 239
     ACC_TRIM = 240
     # settings to flash
-    EEPROM_WRITE = acts(
+    EEPROM_WRITE = stores(
         250,
-        _STORING,
         (_R.CONFLICT, _R.FLASH, _R.ABSENT, _R.SPOILT),
-        request=payload(),
         note="`spoilt` after a refusal of a change of this peer: what was not refused is stored",
     )
     DEBUG = 254
@@ -478,14 +451,13 @@ class Msp(IntEnum):
     COMMON_SET_SERIAL_CONFIG = changes(4106, payload(MspGroup("ports", _PORT, counted=True)))
     MOTOR_OUTPUT_REORDERING = lists(12289, reply=payload(_OUTPUTS))
     SET_MOTOR_OUTPUT_REORDERING = changes(12290, payload(_OUTPUTS))
-    SEND_DSHOT_COMMAND = acts(
+    SEND_DSHOT_COMMAND = stopped(
         12291,
-        _STOPPED,
         (_R.INDEX, _R.ORDER, _R.ABSENT),
         request=payload(
-            number("u8", "type", "", "0 inline, 1 blocking: the same here"),
-            number("u8", "motor", "", "255: all"),
-            MspGroup("commands", (number("u8", "command"),), counted=True),
+            u8("type", "", "0 inline, 1 blocking: the same here"),
+            u8("motor", "", "255: all"),
+            MspGroup("commands", (u8("command"),), counted=True),
             sizes=(4, MSP_PAYLOAD_MAX),
         ),
         note="one command a message, or one and SAVE; ends the peer's test that SET_MOTOR opened; "
@@ -496,41 +468,39 @@ class Msp(IntEnum):
         12294,
         (_R.INDEX,),
         request=payload(
-            number("u8", "kind", "", "1 pilot, 2 craft, 3 PID profile, 4 rate profile, 6 firmware and policy")
+            u8("kind", "", "1 pilot, 2 craft, 3 PID profile, 4 rate profile, 6 firmware and policy")
         ),
-        reply=payload(number("u8", "kind"), _counted("text")),
+        reply=payload(u8("kind"), counted("text")),
     )
     SET_TEXT = changes(
-        12295, payload(number("u8", "kind"), _counted("text", f"at most {SETTING_TEXT_BYTES} characters"))
+        12295, payload(u8("kind"), counted("text", f"at most {SETTING_TEXT_BYTES} characters"))
     )
     SENSOR_CONFIG_ACTIVE = 12298
-    MCU_INFO = tells(12300, number("u8", "mcu", "", "255: not told"), _counted("name"))
+    MCU_INFO = tells(12300, u8("mcu", "", "255: not told"), counted("name"))
     GYRO_SENSOR = 12301
     POLICY_INFO = tells(
         0x4E01,
-        number("u32", "architecture_hash"),
+        u32("architecture_hash"),
         *numbers("u16", "observations actions"),
-        number("u32", "weights"),
+        u32("weights"),
         *numbers("u16", "control_rate gyro_rate", "Hz"),
-        number("u8", "good"),
-        _counted("name"),
-        _bytes("sha256", 32),
-        number("f32", "idle", "motor fraction"),
-        number("u8", "source", "", f"0 slot A, 1 slot B, {MSP_POLICY_NONE} none is good"),
-        number("u32", "sequence", "", "0: as built"),
-        _array("i8", "found", 2, "", "in each slot, 0 good, else an error, see Numbers"),
-        number("u8", "mix", "", "of outputs and throttle: 0 attitude first, 1 centred"),
+        u8("good"),
+        counted("name"),
+        octets("sha256", count=32),
+        f32("idle", "motor fraction"),
+        u8("source", "", f"0 slot A, 1 slot B, {MSP_POLICY_NONE} none is good"),
+        u32("sequence", "", "0: as built"),
+        i8("found", "", "in each slot, 0 good, else an error, see Numbers", 2),
+        u8("mix", "", "of outputs and throttle: 0 attitude first, 1 centred"),
     )
-    # rate, worst, best, mean and misses of each task
-    TASKS = acts(
+    TASKS = asks(
         0x4E02,
-        _ALWAYS,
         reply=payload(
-            number("u32", "cycles_hz", "Hz"),
+            u32("cycles_hz", "Hz"),
             MspGroup(
                 "tasks",
                 (
-                    number("u16", "rate", "Hz"),
+                    u16("rate", "Hz"),
                     *numbers("u32", "runs misses"),
                     *numbers("u32", "worst best mean", "cycles"),
                 ),
@@ -539,33 +509,25 @@ class Msp(IntEnum):
             ),
         ),
     )
-    # the record of the last fault; with a payload: it is acknowledged
-    FAULTS = acts(
+    FAULTS = asks(
         0x4E03,
-        _ALWAYS,
         request=payload(
-            number(
-                "u32",
-                "boot",
-                "",
-                "acknowledges the fault that this boot found; without it nothing is changed",
-            ),
+            u32("boot", "", "acknowledges the fault that this boot found; without it nothing is changed"),
             required=0,
         ),
         reply=payload(
-            number("u32", "boots", "", "the present one included"),
-            number("u8", "pending", "", "1: the newest fault follows, which nobody acknowledged"),
-            number("u32", "boot", "", "that found it"),
-            number(
-                "u32",
+            u32("boots", "", "the present one included"),
+            u8("pending", "", "1: the newest fault follows, which nobody acknowledged"),
+            u32("boot", "", "that found it"),
+            u32(
                 "fault",
                 "",
                 "FaultKind: " + ", ".join(f"{kind:d} {kind.name.lower()}" for kind in FaultKind if kind),
             ),
-            MspField("registers", "u32", "", ", ".join(FAULT_REGISTERS), len(FAULT_REGISTERS)),
-            number("u32", "line", "", "of the assertion, else the exception's number"),
-            MspField("file", "text", "", "end of its path", FAULT_FILE_BYTES),
-            number("u32", "uptime", "control steps"),
+            u32("registers", "", ", ".join(FAULT_REGISTERS), len(FAULT_REGISTERS)),
+            u32("line", "", "of the assertion, else the exception's number"),
+            text("file", "end of its path", FAULT_FILE_BYTES),
+            u32("uptime", "control steps"),
             required=2,
         ),
         acknowledges=Access(_STORING, (_R.PAYLOAD, _R.INDEX, _R.FLASH, _R.ABSENT)),
@@ -573,86 +535,67 @@ class Msp(IntEnum):
     SAFETY = tells(
         0x4E04,
         *numbers("u8", "state stop_cause fallback_cause gyro_health", "", "see Numbers"),
-        number("u32", "arming_reasons", "bits", "see Numbers"),
+        u32("arming_reasons", "bits", "see Numbers"),
         *numbers("u8", "policy_good pid_built_in pid_flies", "", "1: yes"),
-        number("u8", "receiver_quality", "%"),
-        number("i16", "temperature", "0.01 deg C"),
-        number("f32", "idle", "motor fraction"),
-        number("u8", "refused_cause", "", "a fallback cause: why the policy must not fly"),
-        number("u8", "gyro_identity", "", "WHO_AM_I of the gyro chip, known or not; 0: nothing was read"),
-        number("u8", "brown_out", "", "the detector's level + 1, 1: it is off; 0: not told"),
-        number("u8", "airborne", "", "1: it has taken off since it was armed"),
+        u8("receiver_quality", "%"),
+        i16("temperature", "0.01 deg C"),
+        f32("idle", "motor fraction"),
+        u8("refused_cause", "", "a fallback cause: why the policy must not fly"),
+        u8("gyro_identity", "", "WHO_AM_I of the gyro chip, known or not; 0: nothing was read"),
+        u8("brown_out", "", "the detector's level + 1, 1: it is off; 0: not told"),
+        u8("airborne", "", "1: it has taken off since it was armed"),
         required=12,
     )
     # all logged faults, and the policy that was refused in flight
-    ACKNOWLEDGE = acts(0x4E05, _STORING, (_R.INDEX, _R.FLASH, _R.ABSENT), request=payload(), once=True)
+    ACKNOWLEDGE = stores(0x4E05, (_R.INDEX, _R.FLASH, _R.ABSENT), once=True)
     IDENTITY = tells(
         0x4E06,
-        _counted("firmware", "Neuroflight"),
+        counted("firmware", "Neuroflight"),
         *numbers("u8", "major minor patch"),
         *numbers("u8", "api_major api_minor"),
-        _counted("target"),
-        _text("variant", 4, "what FC_VARIANT tells"),
-        _counted("policy", "the aircraft that it was trained on; none: no policy is good"),
-        _bytes("policy_sha256", 32),
-        meaning="who this is, whatever FC_VARIANT says",
+        counted("target"),
+        text("variant", "what FC_VARIANT tells", 4),
+        counted("policy", "the aircraft that it was trained on; none: no policy is good"),
+        octets("policy_sha256", count=32),
     )
-    # the gyro anew; disarmed only
-    CALIBRATE = acts(
-        0x4E07,
-        _STOPPED,
-        (_R.ABSENT,),
-        request=payload(),
-        note="in the state disarmed only, else `armed`",
-        once=True,
-    )
-    # name, unit, range, default of one setting, by index
-    SETTING_INFO = acts(
+    CALIBRATE = stopped(0x4E07, (_R.ABSENT,), note="in the state disarmed only, else `armed`", once=True)
+    SETTING_INFO = asks(
         0x4E10,
-        _ALWAYS,
         (_R.INDEX,),
         request=payload(_SETTING),
         reply=payload(
-            number("u16", "count", "", "settings in all"),
+            u16("count", "", "settings in all"),
             _KIND,
-            _value("low", _LIMIT),
-            _value("high", _LIMIT),
-            _value("default", "as the kind says"),
-            MspField("name", "counted"),
-            MspField("unit", "counted"),
+            octets("low", _LIMIT, 4),
+            octets("high", _LIMIT, 4),
+            octets("default", "as the kind says", 4),
+            counted("name"),
+            counted("unit"),
         ),
     )
-    # value of one setting, by index
-    SETTING_GET = acts(
+    SETTING_GET = asks(
         0x4E11,
-        _ALWAYS,
         (_R.INDEX,),
         request=payload(_SETTING),
-        reply=payload(_KIND, MspField("value", "bytes", "", f"4 bytes, {SETTING_TEXT_BYTES} of a text", 0)),
+        reply=payload(_KIND, octets("value", f"4 bytes, {SETTING_TEXT_BYTES} of a text")),
     )
-    # one setting, by index
-    SETTING_SET = acts(
+    SETTING_SET = stopped(
         0x4E12,
-        _STOPPED,
         (_R.INDEX, _R.RANGE),
         request=payload(
             _SETTING,
-            MspField("value", "bytes", "", f"4 bytes, {SETTING_TEXT_BYTES} of a text, ended by zeros", 0),
+            octets("value", f"4 bytes, {SETTING_TEXT_BYTES} of a text, ended by zeros"),
             sizes=(6, 2 + SETTING_TEXT_BYTES),
         ),
         note=f"flown from the next boot on, {AT_ONCE} at once; "
         "what does not go together is refused when it is stored",
     )
-    # all settings to their defaults, not stored
-    SETTINGS_DEFAULT = acts(0x4E13, _STOPPED, request=payload(), note="not stored yet")
-    # opens or closes the motor test
-    MOTOR_TEST = acts(
+    SETTINGS_DEFAULT = stopped(0x4E13, note="not stored yet")
+    MOTOR_TEST = stopped(
         0x4E20,
-        _STOPPED,
         (_R.ABSENT,),
         request=payload(
-            number(
-                "u32",
+            u32(
                 "magic",
                 "",
                 f"0x{MOTOR_TEST_MAGIC:08X} opens, 0 closes, 0x{MOTOR_BENCH_MAGIC:08X} opens for one rotor on "
@@ -663,85 +606,60 @@ class Msp(IntEnum):
         once=True,
     )
     # beep, direction; disarmed only
-    DSHOT_COMMAND = acts(
+    DSHOT_COMMAND = stopped(
         0x4E21,
-        _STOPPED,
         (_R.INDEX, _R.ORDER, _R.ABSENT),
-        request=payload(number("u8", "motor", "", "255: all"), number("u8", "command")),
+        request=payload(u8("motor", "", "255: all"), u8("command")),
         note="`armed` beside a motor test, `order` while another is under way",
         once=True,
     )
     # erases the slot that is not flown
-    POLICY_SLOT_BEGIN = acts(
+    POLICY_SLOT_BEGIN = stores(
         0x4E30,
-        _STORING,
-        (_R.ORDER, _R.FLASH, _R.ABSENT),
-        request=payload(number("u32", "size", "bytes", "of the blob")),
-        reply=payload(number("u32", "sequence", "", "that the blob may have, or a newer one")),
+        _WRITES,
+        request=payload(u32("size", "bytes", "of the blob")),
+        reply=payload(u32("sequence", "", "that the blob may have, or a newer one")),
         note=f"`order` after a revert, until the restart, and {_BOTH}",
         once=True,
     )
-    # offset and bytes
-    POLICY_SLOT_WRITE = acts(
-        0x4E31,
-        _STORING,
-        (_R.ORDER, _R.FLASH, _R.ABSENT),
-        request=payload(
-            number("u32", "offset", "bytes", "a multiple of 4: where the last one ended"),
-            MspField("data", "bytes", "", "of the blob, a multiple of 4", 0),
-            sizes=(8, MSP_PAYLOAD_MAX),
-        ),
-        note="the last one may be repeated",
-        once=True,
+    POLICY_SLOT_WRITE = stores(
+        0x4E31, _WRITES, request=_piece("blob"), note="the last one may be repeated", once=True
     )
     # checks the blob; flown from the next boot on
-    POLICY_SLOT_END = acts(
-        0x4E32,
-        _STORING,
-        (_R.ORDER, _R.FLASH, _R.BLOB, _R.SEQUENCE, _R.ABSENT),
-        request=payload(),
-        note="may be repeated",
-        once=True,
+    POLICY_SLOT_END = stores(
+        0x4E32, (_R.ORDER, _R.FLASH, _R.BLOB, _R.SEQUENCE, _R.ABSENT), note="may be repeated", once=True
     )
     # the flown slot's policy is none any more from the next boot on
-    POLICY_SLOT_REVERT = acts(
+    POLICY_SLOT_REVERT = stores(
         0x4E33,
-        _STORING,
-        (_R.ORDER, _R.FLASH, _R.ABSENT),
-        request=payload(),
+        _WRITES,
         note="`order` where no slot is flown or the other one holds no policy for this image, after an "
         f"update until the restart, and {_BOTH}; may be repeated",
     )
-    # what a slot holds
-    POLICY_SLOT_INFO = acts(
+    POLICY_SLOT_INFO = asks(
         0x4E34,
-        _ALWAYS,
         (_R.INDEX,),
-        request=payload(number("u8", "source", "", "0 slot A, 1 slot B")),
+        request=payload(u8("source", "", "0 slot A, 1 slot B")),
         reply=payload(
-            number("i8", "found", "", "0 good, else an error, see Numbers: why it could not be flown now"),
-            number("u8", "flown", "", "1: by this boot"),
-            number("u32", "sequence", "", "this and what follows: zeros where there is no whole policy"),
-            number("u32", "architecture_hash"),
-            number("u32", "filters_hash"),
-            number("u32", "control_rate", "Hz"),
-            number("f32", "idle", "", "motor fraction at zero thrust"),
-            MspField("aircraft", "counted", "", "that it was trained on"),
-            MspField("policy_sha256", "bytes", "", "of the ONNX file", SHA256_BYTES),
-            MspField(
-                "build", "bytes", "", "of the image that it came with; zeros: for any", IMAGE_BUILD_BYTES
-            ),
+            i8("found", "", "0 good, else an error, see Numbers: why it could not be flown now"),
+            u8("flown", "", "1: by this boot"),
+            u32("sequence", "", "this and what follows: zeros where there is no whole policy"),
+            u32("architecture_hash"),
+            u32("filters_hash"),
+            u32("control_rate", "Hz"),
+            f32("idle", "", "motor fraction at zero thrust"),
+            counted("aircraft", "that it was trained on"),
+            octets("policy_sha256", "of the ONNX file", SHA256_BYTES),
+            octets("build", "of the image that it came with; zeros: for any", IMAGE_BUILD_BYTES),
         ),
     )
     # records of control steps unasked from now on, at the rate told
-    STREAM = acts(
+    STREAM = asks(
         0x4E40,
-        _ALWAYS,
         (_R.ABSENT,),
-        request=payload(number("u16", "rate", "Hz", "0 ends it")),
+        request=payload(u16("rate", "Hz", "0 ends it")),
         reply=payload(
-            number(
-                "u16",
+            u16(
                 "granted",
                 "Hz",
                 f"the greatest divisor of the control rate not above it, nor above {MSP_STREAM_RATE_MAX_HZ}",
@@ -749,177 +667,138 @@ class Msp(IntEnum):
         ),
         note="ends with rate 0, with its TCP connection, with a restart",
     )
-    # one of them; never a request
     STREAM_SAMPLE = Message(
         0x4E41,
         Answers.NOBODY,
         reply=payload(
-            number(
-                "u16", "sequence", "", "counts those that were due: a gap is what the line could not take"
-            ),
-            number("u32", "step", "", "control step"),
-            number("u32", "cycles", "", "that it took"),
-            number("u8", "state", "", "FlightState"),
-            number("u8", "flags", "bits", "0 armed, 1 the PID flies"),
-            MspField("setpoint", "f32", "rad/s", "", 3),
-            MspField("gyro", "f32", "rad/s", "", 3),
-            number("f32", "throttle", "", "0..1"),
+            u16("sequence", "", "counts those that were due: a gap is what the line could not take"),
+            u32("step", "", "control step"),
+            u32("cycles", "", "that it took"),
+            u8("state", "", "FlightState"),
+            u8("flags", "bits", "0 armed, 1 the PID flies"),
+            f32("setpoint", "rad/s", count=3),
+            f32("gyro", "rad/s", count=3),
+            f32("throttle", "", "0..1"),
             _list("motors", "u16", "DShot", "in motor order"),
             _list("observations", "f32", "", "none unless armed and the policy flies"),
             _list("actions", "f32", "", "none unless armed"),
         ),
         access=Access(MspWhen.NEVER, (), "comes unasked after STREAM"),
     )
-    # what the two banks of images hold
-    IMAGE_INFO = acts(
+    IMAGE_INFO = asks(
         0x4E50,
-        _ALWAYS,
         (_R.ABSENT,),
         reply=payload(
-            number("u8", "running", "", "bank that this image runs from: 0 A, 1 B"),
+            u8("running", "", "bank that this image runs from: 0 A, 1 B"),
             MspGroup(
                 "banks",
                 (
-                    number(
-                        "u8",
+                    u8(
                         "flags",
                         "bits",
                         "0 its header fits bank and board, else all of it is zeros; 1 numbered, 2 confirmed, "
                         "3 rejected, 4 installed by the ROM and not numbered yet",
                     ),
-                    number("u8", "starts", "", "counted ones of an image that is not confirmed"),
-                    number("u32", "sequence", "", "of two numbered images the newer one is started"),
-                    number("u32", "image_bytes", "bytes"),
-                    number("u32", "crc"),
-                    MspField("version", "bytes", "", "major, minor, patch, 0", 4),
-                    MspField(
-                        "build",
-                        "bytes",
-                        "",
-                        "number of the build, the same in both banks' images",
-                        IMAGE_BUILD_BYTES,
-                    ),
+                    u8("starts", "", "counted ones of an image that is not confirmed"),
+                    u32("sequence", "", "of two numbered images the newer one is started"),
+                    u32("image_bytes", "bytes"),
+                    u32("crc"),
+                    octets("version", "major, minor, patch, 0", 4),
+                    octets("build", "number of the build, the same in both banks' images", IMAGE_BUILD_BYTES),
                 ),
                 counted=True,
             ),
-            number("u8", "layout", "", "of images and flash map that this firmware knows"),
+            u8("layout", "", "of images and flash map that this firmware knows"),
             required=2,
         ),
     )
     # erases the bank that is not run, for the image of that header
-    IMAGE_BEGIN = acts(
+    IMAGE_BEGIN = stores(
         0x4E51,
-        _STORING,
         (_R.ORDER, _R.IMAGE, _R.FLASH, _R.ABSENT),
         request=payload(
-            MspField(
-                "header", "bytes", "", f"of the image: {_HEADER_FIELDS}", struct.calcsize(IMAGE_HEADER_FORMAT)
-            )
+            octets("header", f"of the image: {_HEADER_FIELDS}", struct.calcsize(IMAGE_HEADER_FORMAT))
         ),
-        reply=payload(
-            number("u32", "offset", "bytes", "to go on from: not 0 where the same image was under way")
-        ),
+        reply=payload(u32("offset", "bytes", "to go on from: not 0 where the same image was under way")),
         note="`image` before anything is erased; `order` while the running image is not confirmed and the "
         "other bank's is, to which the board may have to go back; erasing takes one to two seconds, in which "
         "nothing is answered",
     )
-    # offset and bytes
-    IMAGE_WRITE = acts(
-        0x4E52,
-        _STORING,
-        (_R.ORDER, _R.FLASH, _R.ABSENT),
-        request=payload(
-            number("u32", "offset", "bytes", "a multiple of 4: where the last one ended"),
-            MspField("data", "bytes", "", "of the image, a multiple of 4", 0),
-            sizes=(8, MSP_PAYLOAD_MAX),
-        ),
-        note="the last one may be repeated",
-    )
+    IMAGE_WRITE = stores(0x4E52, _WRITES, request=_piece("image"), note="the last one may be repeated")
     # checks that all of it has arrived
-    IMAGE_END = acts(
+    IMAGE_END = stores(
         0x4E53,
-        _STORING,
         (_R.ORDER, _R.IMAGE, _R.ABSENT),
         request=payload(),
-        reply=payload(number("u32", "crc", "", "of the image as flash has it")),
+        reply=payload(u32("crc", "", "of the image as flash has it")),
         note="may be repeated",
     )
-    # SHA-256 of a bank's image as flash has it
-    IMAGE_HASH = acts(
+    IMAGE_HASH = stopped(
         0x4E54,
-        _STOPPED,
         (_R.INDEX, _R.IMAGE, _R.ABSENT),
-        request=payload(number("u8", "bank", "", "0 A, 1 B")),
-        reply=payload(MspField("sha256", "bytes", "", "of the image as flash has it", SHA256_BYTES)),
+        request=payload(u8("bank", "", "0 A, 1 B")),
+        reply=payload(octets("sha256", "of the image as flash has it", SHA256_BYTES)),
     )
     # the image of that SHA-256 is started from the next boot on
-    IMAGE_SWITCH = acts(
+    IMAGE_SWITCH = stores(
         0x4E55,
-        _STORING,
         (_R.ORDER, _R.IMAGE, _R.BLOB, _R.FLASH, _R.ABSENT),
-        request=payload(MspField("sha256", "bytes", "", "of the image that is not run", SHA256_BYTES)),
-        reply=payload(number("u32", "sequence", "", "number that the image has got")),
+        request=payload(octets("sha256", "of the image that is not run", SHA256_BYTES)),
+        reply=payload(u32("sequence", "", "number that the image has got")),
         note=_STARTED,
     )
     # what the blackbox does, and how many logs its device keeps
-    LOG_INFO = acts(
+    LOG_INFO = asks(
         0x4E60,
-        _ALWAYS,
         (_R.ABSENT,),
         reply=payload(
-            number("u8", "device", "", "LogDevice, as set"),
-            number("u8", "state", "", "LogState"),
-            number("u8", "error", "", "LogError: the device's last one, until a log begins well"),
-            number(
-                "u8",
+            u8("device", "", "LogDevice, as set"),
+            u8("state", "", "LogState"),
+            u8("error", "", "LogError: the device's last one, until a log begins well"),
+            u8(
                 "flags",
                 "bits",
                 "0 a log is being written, 1 the current or last one lacks control steps, "
                 "2 files are still being looked at: there may be more",
             ),
-            number("u16", "logs", "", "that can be read"),
-            number("u16", "empty", "", "files that can take a log"),
-            number("u32", "capacity", "KiB", "of all files for logs"),
-            number("u32", "free", "KiB", "of the empty ones"),
-            number("u32", "frames", "", "of the current or last log"),
-            number("u32", "dropped", "control steps", "that are missing in it"),
-            number("u32", "bytes", "bytes", "of it"),
+            u16("logs", "", "that can be read"),
+            u16("empty", "", "files that can take a log"),
+            u32("capacity", "KiB", "of all files for logs"),
+            u32("free", "KiB", "of the empty ones"),
+            u32("frames", "", "of the current or last log"),
+            u32("dropped", "control steps", "that are missing in it"),
+            u32("bytes", "bytes", "of it"),
         ),
     )
-    # name and size of one of them
-    LOG_ENTRY = acts(
+    LOG_ENTRY = stopped(
         0x4E61,
-        _STOPPED,
-        (_R.INDEX, _R.ORDER, _R.LOG, _R.ABSENT),
+        _LOGS,
         request=payload(_LOG),
         reply=payload(
             _LOG,
             _STATE,
-            MspField("name", "text", "", "of its file", LOG_NAME_BYTES),
-            number("u32", "bytes", "bytes", "of the log, its file may be longer"),
+            text("name", "of its file", LOG_NAME_BYTES),
+            u32("bytes", "bytes", "of the log, its file may be longer"),
         ),
         note=_LOG_ORDER,
     )
-    # bytes of one of them
-    LOG_READ = acts(
+    LOG_READ = stopped(
         0x4E62,
-        _STOPPED,
-        (_R.INDEX, _R.ORDER, _R.LOG, _R.ABSENT),
-        request=payload(_LOG, number("u32", "offset", "bytes"), number("u16", "count", "bytes", "at most")),
+        _LOGS,
+        request=payload(_LOG, u32("offset", "bytes"), u16("count", "bytes", "at most")),
         reply=payload(
             _LOG,
-            number("u32", "offset", "bytes"),
+            u32("offset", "bytes"),
             _STATE,
-            MspField("data", "bytes", "", "as many as fit; none with state 0: the log ends there", 0),
+            octets("data", "as many as fit; none with state 0: the log ends there"),
         ),
         note=_LOG_ORDER,
     )
     # makes all their files empty again
-    LOG_ERASE = acts(
+    LOG_ERASE = stopped(
         0x4E63,
-        _STOPPED,
         (_R.ORDER, _R.LOG, _R.ABSENT),
-        request=payload(number("u32", "magic", "", f"{LOG_ERASE_MAGIC:#x}")),
+        request=payload(u32("magic", "", f"{LOG_ERASE_MAGIC:#x}")),
         reply=payload(_STATE),
         note=f"{_LOG_ORDER}; may be repeated",
     )

@@ -33,9 +33,7 @@ POLICY_BLOB_LAYOUT = 5
 POLICY_BLOB_AIRCRAFT_BYTES = 32
 POLICY_BLOB_CRC_BYTES = 4
 POLICY_FILTERS_NONE = 0x0D4CBB29  # CRC-32 of "[]": no gyro filter
-POLICY_FILTER_MEAN = (
-    "mean"  # the filter [["mean"]]: controllers see the mean of the samples of a control period
-)
+POLICY_FILTER_MEAN = "mean"  # the filter [["mean"]]: the mean of the samples of a control period is seen
 SHA256_BYTES = 32
 IMAGE_BUILD_BYTES = 8  # of what names a build: image_format.py
 

@@ -82,9 +82,7 @@ class Setting:
     meaning: str
     choices: tuple[str, ...] = ()  # names of 0, 1, ...
     betaflight: Span | None = None  # instead, where rates_style is betaflight; the same kind
-    at_once: bool = (
-        False  # flown as soon as the motors stand and no log is written; else from the next boot on
-    )
+    at_once: bool = False  # flown as soon as the motors stand and no log is written; else from the next boot
 
     @property
     def parameter(self) -> str:
@@ -108,13 +106,16 @@ _PARAMETERS = {  # of settings with a name of more than the 16 characters of MAV
     "runaway_detection": "runaway_detect",
     "plausibility_detection": "plausible_detect",
 }
-AT_ONCE = (
-    "rates, dead bands and PID factors"  # the settings with `at_once`; firmware/src/background.c flies them
-)
+# The settings with `at_once`; firmware/src/background.c flies them.
+AT_ONCE = "rates, dead bands and PID factors"
 
 
-def _choice(name: str, default: str, choices: tuple[str, ...], meaning: str) -> Setting:
-    return Setting(name, "uint32_t", 0, len(choices) - 1, choices.index(default), "", meaning, choices)
+def _choice(name: str, choices: tuple[str, ...], meaning: str, default: int = 0) -> Setting:
+    return Setting(name, "uint32_t", 0, len(choices) - 1, int(default), "", meaning, choices)
+
+
+def _switch(name: str, default: bool, meaning: str) -> Setting:
+    return _choice(name, ("off", "on"), meaning, default)
 
 
 def _text(name: str, meaning: str) -> Setting:
@@ -132,6 +133,10 @@ def _whole(name: str, low: int, high: int, default: int, unit: str, meaning: str
 
 def _number(name: str, low: float, high: float, default: float, unit: str, meaning: str) -> Setting:
     return Setting(name, "float", low, high, default, unit, meaning)
+
+
+def _listed(numbers: tuple[int, ...]) -> str:
+    return f"{', '.join(map(str, numbers[:-1]))} or {numbers[-1]}"
 
 
 def _at_once(*settings: Setting) -> Iterator[Setting]:
@@ -158,7 +163,7 @@ _MODE_DEFAULTS = {  # a switch's upper position, as on most transmitters
     slot: ModeRange(mode, slot, SWITCH_ON_US, _HIGH_US)
     for slot, mode in enumerate((Mode.ARM, Mode.PID, Mode.BEEPER, Mode.TRIAL), start=1)
 }
-_SWITCH = ("off", "on")
+_DEVICES = tuple(device.name.lower() for device in LogDevice)
 _FILTERS = tuple(kind.name.lower() for kind in FilterKind)
 FILTER_STAGES = 4
 # Of the whole chain of gyro filters, for slow motion. Flown in the twin, the NF1's PID swings from 3.75 ms on
@@ -167,13 +172,10 @@ FILTER_DELAY_MAX_MS = 3.5
 # Of the same chain where a PID gain is not as built in. At 2 ms every corner of the factors flies, at 3 ms a
 # P of 1.25 swings.
 PID_FACTOR_FILTER_DELAY_MAX_MS = 2.0
-_MSP_BAUD_MEANING = f"{', '.join(str(baud) for baud in MSP_BAUDS[:-1])} or {MSP_BAUDS[-1]}, on UART1"
-_LOG_BAUD_MEANING = (
-    f"{', '.join(str(baud) for baud in LOG_BAUDS[:-1])} or {LOG_BAUDS[-1]}, on UART3 with the log"
-)
+_MSP_BAUD_MEANING = f"{_listed(MSP_BAUDS)}, on UART1"
+_LOG_BAUD_MEANING = f"{_listed(LOG_BAUDS)}, on UART3 with the log"
 _LOG_STEPS_MEANING = (
-    f"{', '.join(str(divider) for divider in LOG_DIVIDERS[:-1])} or {LOG_DIVIDERS[-1]}: "
-    "each so many-th control step is logged; only 1 can be replayed"
+    f"{_listed(LOG_DIVIDERS)}: each so many-th control step is logged; only 1 can be replayed"
 )
 _GROUPS_MEANING = "fields left out: " + ", ".join(
     f"{group.value} {group.name.lower().replace('_', ' ')}" for group in LogGroup
@@ -208,7 +210,7 @@ _BEEPS = {
 _ARMING_DELAY_MEANING = "from power-up until arming is allowed: longer than the ESCs' start-up tunes"
 SETTINGS = (
     _whole("gyro_rate_hz", 1000, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ, "Hz", "1000, 2000, 4000 or 8000"),
-    _choice("gyro_alignment", "board", ("board", "cw0", "cw90", "cw180", "cw270"), "how the chip is turned"),
+    _choice("gyro_alignment", ("board", "cw0", "cw90", "cw180", "cw270"), "how the chip is turned"),
     *(
         _number(f"board_{axis}_deg", -180.0, 180.0, 0.0, "deg", "how the board is turned in the aircraft")
         for axis in AXES
@@ -218,7 +220,7 @@ SETTINGS = (
         setting
         for stage in range(1, FILTER_STAGES + 1)
         for setting in (
-            _choice(f"filter{stage}_kind", "none", _FILTERS, "of the gyro's filter chain, in order"),
+            _choice(f"filter{stage}_kind", _FILTERS, "of the gyro's filter chain, in order"),
             _number(f"filter{stage}_hz", 30.0, 4000.0, 100.0, "Hz", "cutoff, or centre of the notch"),
             _number(f"filter{stage}_q", 0.1, 100.0, 0.70710678, "1", "quality of biquad and notch"),
         )
@@ -227,8 +229,8 @@ SETTINGS = (
     _number("dynamic_notch_low_hz", 30.0, 1000.0, 100.0, "Hz", "lowest centre"),
     _number("dynamic_notch_high_hz", 60.0, 2000.0, 600.0, "Hz", "highest centre"),
     _number("dynamic_notch_q", 0.5, 20.0, 3.0, "1", "quality"),
-    _choice("gyro_mean", "policy", ("policy", "off", "on"), _MEAN_MEANING),
-    _choice("receiver_protocol", "sbus", ("sbus", "crsf", "msp"), "what speaks on the receiver's line"),
+    _choice("gyro_mean", ("policy", "off", "on"), _MEAN_MEANING),
+    _choice("receiver_protocol", ("sbus", "crsf", "msp"), "what speaks on the receiver's line"),
     _whole("msp_baud", MSP_BAUDS[0], MSP_BAUDS[-1], MSP_BAUD_DEFAULT, "baud", _MSP_BAUD_MEANING),
     *(
         _whole(f"map_{name}", 0, CHANNEL_MAPPED_COUNT - 1, channel, "channel", f"of the receiver: {told}")
@@ -242,7 +244,7 @@ SETTINGS = (
     ),
     *(_mode(slot, _MODE_DEFAULTS.get(slot)) for slot in range(1, MODE_SLOT_COUNT + 1)),
     *_at_once(
-        _choice("rates_style", "actual", ("actual", "betaflight"), _STYLE_MEANING),
+        _choice("rates_style", ("actual", "betaflight"), _STYLE_MEANING),
         *(
             setting
             for axis in AXES
@@ -264,8 +266,8 @@ SETTINGS = (
         _whole("deadband_us", 0, 100, 0, "us", "of roll and pitch"),
         _whole("yaw_deadband_us", 0, 100, 0, "us", "of yaw"),
     ),
-    _choice("interpolation", "off", _SWITCH, "a ramp between two receiver frames"),
-    _choice("failsafe_stage", "drop", ("drop", "descend"), "after the hold"),
+    _switch("interpolation", False, "a ramp between two receiver frames"),
+    _choice("failsafe_stage", ("drop", "descend"), "after the hold"),
     _number("failsafe_throttle", 0.0, 1.0, 0.2, "1", "while descending"),
     _whole("failsafe_descend_ms", 0, 60_000, 3000, "ms", "then the motors stop"),
     _whole("failsafe_hold_ms", RECEIVER_PAUSE_MS, RECEIVER_FLAG_MS, RECEIVER_HOLD_MS, "ms", _HOLD_MEANING),
@@ -274,20 +276,15 @@ SETTINGS = (
     _whole("arming_delay_ms", BOOT_GRACE_MS, 10_000, ARMING_DELAY_MS, "ms", _ARMING_DELAY_MEANING),
     # Less leaves the motors too little room above their idle: the NF1 needs more than a second to stop.
     _number("motor_limit", 0.45, 1.0, 1.0, "1", "largest motor fraction"),
-    _choice("motor_stop", "off", _SWITCH, "armed with the throttle low, motors stand still"),
+    _switch("motor_stop", False, "armed with the throttle low, motors stand still"),
     *(
         _whole(
             f"motor{motor}_output", 1, MOTOR_COUNT_MAX, motor, "output", "that this motor's ESC is wired to"
         )
         for motor in range(1, MOTOR_COUNT_MAX + 1)
     ),
-    _choice(
-        "motors_reversed",
-        "off",
-        _SWITCH,
-        "props out: all motors turn the other way than in the aircraft file",
-    ),
-    _choice("motor_protocol", "dshot600", ("dshot300", "dshot600"), "to the ESCs"),
+    _switch("motors_reversed", False, "props out: all motors turn the other way than in the aircraft file"),
+    _choice("motor_protocol", ("dshot300", "dshot600"), "to the ESCs", default=1),
     *_at_once(
         *(
             _number(f"pid_{axis}_{term}", low, high, 1.0, "1", _GAIN_MEANING)
@@ -301,26 +298,18 @@ SETTINGS = (
     _number("battery_warn_v", 2.5, 4.4, 3.5, "V", "a cell: warning"),
     _number("battery_low_v", 2.5, 4.4, 3.3, "V", "a cell: land now"),
     _whole("battery_capacity_mah", 0, 65_535, 0, "mAh", "of the pack; 0: not told"),
-    *(_choice(f"beep_{name}", "on", _SWITCH, meaning) for name, meaning in _BEEPS.items()),
+    *(_switch(f"beep_{name}", True, meaning) for name, meaning in _BEEPS.items()),
     _text("craft_name", "the aircraft's name"),
     _text("pilot_name", "the pilot's name"),
-    _choice(
-        "msp_variant",
-        "btfl",
-        ("btfl", "nrfl"),
-        "the firmware that MSP says it is; btfl: configurators connect",
-    ),
+    _choice("msp_variant", ("btfl", "nrfl"), "the firmware that MSP says it is; btfl: configurators connect"),
     _choice(
         "uart3_function",
-        "off",
         ("off", "msp", "blackbox"),
         "what UART3 does: msp a second MSP port, blackbox sends the log",
     ),
     _whole("uart3_baud", MSP_BAUDS[0], MSP_BAUDS[-1], MSP_BAUD_DEFAULT, "baud", "of UART3, as msp_baud"),
-    _choice(
-        "blackbox_device", "card", tuple(device.name.lower() for device in LogDevice), "where the log goes"
-    ),
-    _choice("blackbox_mode", "normal", ("normal", "always"), "normal: while armed; always: from power-up"),
+    _choice("blackbox_device", _DEVICES, "where the log goes", default=LogDevice.CARD),
+    _choice("blackbox_mode", ("normal", "always"), "normal: while armed; always: from power-up"),
     _whole(
         "blackbox_divider", LOG_DIVIDERS[0], LOG_DIVIDERS[-1], LOG_DIVIDERS[0], "steps", _LOG_STEPS_MEANING
     ),
@@ -330,9 +319,9 @@ SETTINGS = (
     _number("chirp_start_hz", 0.2, 250.0, 1.0, "Hz", "where its sweep begins"),
     _number("chirp_end_hz", 0.2, 250.0, 100.0, "Hz", _CHIRP_END_MEANING),
     _number("chirp_s", 1.0, 120.0, 20.0, "s", "how long its sweep takes"),
-    _choice("crash_detection", "on", _SWITCH, "motors stop when the aircraft does what no pilot asked for"),
-    _choice("runaway_detection", "on", _SWITCH, "the same right after arming"),
-    _choice("plausibility_detection", "on", _SWITCH, "the PID takes over from a policy that steers wrongly"),
-    _choice("policy_trial", "off", _SWITCH, "the policy flies only while the mode TRIAL is on"),
-    _choice("ground_detection", "on", _SWITCH, "off: in the air as soon as it is armed, as on a rig"),
+    _switch("crash_detection", True, "motors stop when the aircraft does what no pilot asked for"),
+    _switch("runaway_detection", True, "the same right after arming"),
+    _switch("plausibility_detection", True, "the PID takes over from a policy that steers wrongly"),
+    _switch("policy_trial", False, "the policy flies only while the mode TRIAL is on"),
+    _switch("ground_detection", True, "off: in the air as soon as it is armed, as on a rig"),
 )

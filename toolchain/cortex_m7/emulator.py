@@ -19,40 +19,9 @@ from elftools.common.exceptions import ELFError
 from elftools.elf.constants import P_FLAGS, SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
-from unicorn import (
-    UC_ARCH_ARM,
-    UC_HOOK_BLOCK,
-    UC_HOOK_CODE,
-    UC_HOOK_MEM_INVALID,
-    UC_HOOK_MEM_READ,
-    UC_HOOK_MEM_WRITE,
-    UC_MEM_FETCH_PROT,
-    UC_MEM_FETCH_UNMAPPED,
-    UC_MEM_READ_PROT,
-    UC_MEM_READ_UNMAPPED,
-    UC_MEM_WRITE_PROT,
-    UC_MEM_WRITE_UNMAPPED,
-    UC_MODE_MCLASS,
-    UC_MODE_THUMB,
-    UC_PROT_ALL,
-    UC_PROT_EXEC,
-    UC_PROT_READ,
-    UC_PROT_WRITE,
-    Uc,
-    UcError,
-)
-from unicorn.arm_const import (
-    UC_ARM_REG_EPSR,
-    UC_ARM_REG_LR,
-    UC_ARM_REG_PC,
-    UC_ARM_REG_R0,
-    UC_ARM_REG_R1,
-    UC_ARM_REG_R2,
-    UC_ARM_REG_R3,
-    UC_ARM_REG_S0,
-    UC_ARM_REG_SP,
-    UC_CPU_ARM_CORTEX_M7,
-)
+from unicorn import Uc, UcError
+from unicorn import arm_const as arm
+from unicorn import unicorn_const as uc
 
 from neuroflight.toolchain.contract import Region
 from neuroflight.toolchain.errors import BuildError, NeuroflightError
@@ -62,7 +31,8 @@ ELF_BYTES_MAX = 64 << 20
 XPSR_THUMB = 1 << 24
 INSTRUCTIONS_MAX = 10_000_000  # of one call: what runs longer will not come back
 PAGE = 4096  # bytes: what the emulator maps
-ARGUMENTS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)  # AAPCS: the first four words
+# AAPCS: the first four words.
+ARGUMENTS = (arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2, arm.UC_ARM_REG_R3)
 
 # Where no memory of the board lies and no linker script puts anything.
 ARENA = Region("arena", 0x90000000, 256 * 1024)
@@ -70,12 +40,12 @@ STACK = Region("stack", 0x9F000000, 64 * 1024)
 RETURN = 0x9FF00000  # where a called function comes back to
 
 ACCESS = {
-    UC_MEM_READ_UNMAPPED: "a read",
-    UC_MEM_WRITE_UNMAPPED: "a write",
-    UC_MEM_FETCH_UNMAPPED: "a jump",
-    UC_MEM_READ_PROT: "a read",
-    UC_MEM_WRITE_PROT: "a write to what is constant,",
-    UC_MEM_FETCH_PROT: "a jump into data,",
+    uc.UC_MEM_READ_UNMAPPED: "a read",
+    uc.UC_MEM_WRITE_UNMAPPED: "a write",
+    uc.UC_MEM_FETCH_UNMAPPED: "a jump",
+    uc.UC_MEM_READ_PROT: "a read",
+    uc.UC_MEM_WRITE_PROT: "a write to what is constant,",
+    uc.UC_MEM_FETCH_PROT: "a jump into data,",
 }
 
 Blocks = list[tuple[int, int]]  # address and size [bytes] of runs of code, in the order executed
@@ -165,14 +135,14 @@ class CortexM7:
         Without `memory` a write to code or constants is a fault; within it everything is allowed.
         """
         self.program = program
-        self._uc = Uc(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
-        self._uc.ctl_set_cpu_model(UC_CPU_ARM_CORTEX_M7)
+        self._uc = Uc(uc.UC_ARCH_ARM, uc.UC_MODE_THUMB | uc.UC_MODE_MCLASS)
+        self._uc.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M7)
         self._map(memory)
         for segment in program.segments:
             self._uc.mem_write(segment.address, segment.data)
         self._free = ARENA.address
         self._bad_access = ""
-        self._uc.hook_add(UC_HOOK_MEM_INVALID, self._note_access)
+        self._uc.hook_add(uc.UC_HOOK_MEM_INVALID, self._note_access)
 
     def allocate(self, size: int) -> int:
         """Allocate `size` zeroed bytes, 64-byte aligned, and return their address; they are never freed."""
@@ -211,19 +181,19 @@ class CortexM7:
         for register, value in zip(ARGUMENTS, arguments, strict=False):
             self._uc.reg_write(register, value)
         if number is not None:
-            self._uc.reg_write(UC_ARM_REG_S0, int.from_bytes(struct.pack("<f", number), "little"))
-        self._uc.reg_write(UC_ARM_REG_SP, STACK.address + STACK.size)
-        self._uc.reg_write(UC_ARM_REG_LR, RETURN | 1)
+            self._uc.reg_write(arm.UC_ARM_REG_S0, int.from_bytes(struct.pack("<f", number), "little"))
+        self._uc.reg_write(arm.UC_ARM_REG_SP, STACK.address + STACK.size)
+        self._uc.reg_write(arm.UC_ARM_REG_LR, RETURN | 1)
         self._bad_access = ""
         try:
             self._uc.emu_start(entry | 1, RETURN, count=instructions)
         except UcError as error:
             raise FaultError(f"{function} stopped at {self._here()}: {self._bad_access or error}") from error
-        if self._uc.reg_read(UC_ARM_REG_PC) != RETURN:
+        if self._uc.reg_read(arm.UC_ARM_REG_PC) != RETURN:
             raise FaultError(
                 f"{function} did not come back within {instructions} instructions, {self._here()}"
             )
-        return int(self._uc.reg_read(UC_ARM_REG_R0))
+        return int(self._uc.reg_read(arm.UC_ARM_REG_R0))
 
     @contextmanager
     def recording(self) -> Iterator[Blocks]:
@@ -234,18 +204,18 @@ class CortexM7:
         """
         blocks: Blocks = []
         note = blocks.append
-        with self._hooked(UC_HOOK_BLOCK, lambda _uc, address, size, _data: note((address, size))):
+        with self._hooked(uc.UC_HOOK_BLOCK, lambda _uc, address, size, _data: note((address, size))):
             yield blocks
 
     def stack_bytes(self, function: str, *arguments: int) -> int:
         """Measure the deepest stack of a call: the stack pointer is read before every instruction."""
         top = lowest = STACK.address + STACK.size
 
-        def look(uc: Uc, _address: int, _size: int, _data: object) -> None:
+        def look(core: Uc, _address: int, _size: int, _data: object) -> None:
             nonlocal lowest
-            lowest = min(lowest, uc.reg_read(UC_ARM_REG_SP))
+            lowest = min(lowest, core.reg_read(arm.UC_ARM_REG_SP))
 
-        with self._hooked(UC_HOOK_CODE, look):
+        with self._hooked(uc.UC_HOOK_CODE, look):
             self.call(function, *arguments)
         return top - lowest
 
@@ -253,14 +223,14 @@ class CortexM7:
         """Count the reads and writes of a call in `region`."""
         count = 0
 
-        def note(uc: Uc, *_: object) -> bool:
+        def note(core: Uc, *_: object) -> bool:
             nonlocal count
             count += 1
             # Unicorn has set ITSTATE to the instruction's, and would apply it to the next block.
-            uc.reg_write(UC_ARM_REG_EPSR, XPSR_THUMB)
+            core.reg_write(arm.UC_ARM_REG_EPSR, XPSR_THUMB)
             return True
 
-        kind = UC_HOOK_MEM_READ | UC_HOOK_MEM_WRITE
+        kind = uc.UC_HOOK_MEM_READ | uc.UC_HOOK_MEM_WRITE
         with self._hooked(kind, note, region.address, region.address + region.size - 1):
             self.call(function, *arguments)
         return count
@@ -278,16 +248,16 @@ class CortexM7:
 
     def _map(self, memory: Sequence[Region]) -> None:
         board = {page for region in memory for page in _pages(region.address, region.size)}
-        pages = dict.fromkeys(board, UC_PROT_ALL)
+        pages = dict.fromkeys(board, uc.UC_PROT_ALL)
         for segment in self.program.segments:
-            allowed = UC_PROT_READ
-            allowed |= UC_PROT_WRITE if segment.is_writable else 0
-            allowed |= UC_PROT_EXEC if segment.is_code else 0
+            allowed = uc.UC_PROT_READ
+            allowed |= uc.UC_PROT_WRITE if segment.is_writable else 0
+            allowed |= uc.UC_PROT_EXEC if segment.is_code else 0
             for page in _pages(segment.address, segment.size):
                 pages[page] = pages.get(page, 0) | allowed
         for region in (ARENA, STACK):
-            pages |= dict.fromkeys(_pages(region.address, region.size), UC_PROT_READ | UC_PROT_WRITE)
-        pages[RETURN] = UC_PROT_READ | UC_PROT_EXEC
+            pages |= dict.fromkeys(_pages(region.address, region.size), uc.UC_PROT_READ | uc.UC_PROT_WRITE)
+        pages[RETURN] = uc.UC_PROT_READ | uc.UC_PROT_EXEC
         for address, size, allowed in _joined(pages):
             self._uc.mem_map(address, size, allowed)
 
@@ -296,7 +266,7 @@ class CortexM7:
         return False
 
     def _here(self) -> str:
-        return self.program.place(self._uc.reg_read(UC_ARM_REG_PC))
+        return self.program.place(self._uc.reg_read(arm.UC_ARM_REG_PC))
 
 
 def _segments(elf: ELFFile) -> Iterator[ProgramSegment]:

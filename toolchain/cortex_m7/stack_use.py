@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import SymbolTableSection
+from elftools.elf.sections import Symbol, SymbolTableSection
 
 from neuroflight.toolchain.cortex_m7.disassembly import Instruction, disassemble
 from neuroflight.toolchain.errors import BuildError
@@ -29,6 +29,15 @@ THREAD = "reset_handler"
 # From the least urgent level to the most: firmware/hal/stm32f7/core/core.h. `fault_handler` ends the program.
 LEVELS = (("gyro_sample_handler", "tick_handler"), ("gyro_edge_handler",), ("fault_handler",))
 
+
+def _in(file: str, *names: str) -> tuple[str, ...]:
+    return tuple(f"{file}:{name}" for name in names)
+
+
+def _services(*names: str) -> tuple[str, ...]:
+    return _in("background_services.c", *(f"background_{name}" for name in names))
+
+
 # Where calls through pointers go that no constant table of their own file holds: C file, or C file and
 # function of the image, -> functions, or tables whose functions, by file and name.
 POINTERS: Mapping[str, tuple[str, ...]] = {
@@ -36,82 +45,47 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
     "gyro_chip.c:gyro_sample_handler": ("runtime.c:runtime_sample",),
     "gyro_chip.c:gyro_tick": ("runtime.c:runtime_gyro_silent",),
     "hal.c": ("runtime.c:runtime_background",),
-    "msp_uart.c": (
-        *("runtime.c:runtime_link", "runtime.c:runtime_link_pause"),
-        *("runtime.c:runtime_link_lost", "runtime.c:runtime_link_busy"),
+    "msp_uart.c": _in(
+        "runtime.c", "runtime_link", "runtime_link_pause", "runtime_link_lost", "runtime_link_busy"
     ),
     "flash.c:flash_at": ("hal.c:hal_flash_at",),
-    "flash.c:flash_erase": ("hal.c:hal_flash_erase",),
-    "flash.c:flash_program": ("hal.c:hal_flash_program",),
+    "flash.c:flash_erase": ("flash_memory.c:flash_memory_erase",),
+    "flash.c:flash_program": ("flash_memory.c:flash_memory_program",),
     "runtime.c:runtime_sample": (
-        *("receiver_line.c:receiver_line_read", "motors.c:motors_write", "hal.c:hal_trace_write"),
-        *("hal.c:hal_cycles", "hal.c:hal_deadline_missed"),
+        *("receiver_line.c:receiver_line_read", "motors.c:motors_write"),
+        *_in("hal.c", "hal_trace_write", "hal_cycles", "hal_deadline_missed"),
     ),
     "runtime.c:runtime_gyro_silent": ("motors.c:motors_write",),
     "runtime.c:runtime_background": ("hal.c:hal_watchdog_feed",),
-    "background.c": ("hal.c:hal_cycles", "hal.c:hal_power_read", "hal.c:hal_beeper", "hal.c:hal_led"),
-    "background_start.c": ("hal.c:hal_cycles", "hal.c:hal_watchdog_feed"),
+    "background.c": ("power.c:power_read", *_in("hal.c", "hal_cycles", "hal_beeper", "hal_led")),
+    "background_start.c": _in("hal.c", "hal_cycles", "hal_watchdog_feed"),
     "background_services.c": ("hal.c:hal_reset", "motors.c:motors_restarts"),
-    "session.c": ("background_services.c:background_test_motors", "background_services.c:background_session"),
+    "session.c": _services("test_motors", "session"),
     "background_blackbox.c": ("hal.c:hal_log",),
     "blackbox.c": (
-        *(
-            "card_log.c:log_step",
-            "card_log.c:log_status",
-            "card_log.c:log_begin",
-        ),
-        *("card_log.c:log_write", "card_log.c:log_end", "log_uart.c:device"),
+        *_in("card_log.c", "log_step", "log_status", "log_begin", "log_write", "log_end"),
+        "log_uart.c:device",
     ),
     "sd_card.c": ("card_spi.c:bus",),
     "card_log.c": ("card_spi.c:bus",),
-    "blackbox_kept.c": (
-        "card_log.c:log_status",
-        "card_log.c:log_entry",
-        "card_log.c:log_read",
-        "card_log.c:log_erase",
-    ),
+    "blackbox_kept.c": _in("card_log.c", "log_status", "log_entry", "log_read", "log_erase"),
     "scheduler.c": ("background.c:tasks", "hal.c:hal_cycles"),
-    "msp_port.c": (
-        *(
-            "background_services.c:background_record",
-            "background_services.c:background_arming",
-            "background_services.c:background_heard",
-        ),
+    "msp_port.c": _services("record", "arming", "heard"),
+    "msp_commands.c": _services(
+        *("storing", "channels", "test_motors", "turn_motors", "command_motors", "reboot", "arming"),
+        *("calibrate", "acknowledge"),
     ),
-    "msp_commands.c": (
-        *("background_services.c:background_storing", "background_services.c:background_channels"),
-        *("background_services.c:background_test_motors", "background_services.c:background_turn_motors"),
-        *("background_services.c:background_command_motors", "background_services.c:background_reboot"),
-        *("background_services.c:background_arming", "background_services.c:background_calibrate"),
-        "background_services.c:background_acknowledge",
-    ),
-    "command_line.c": (
-        "background_services.c:background_samples",
-        "background_services.c:background_session",
-    ),
+    "command_line.c": _services("samples", "session"),
     "command_line.c:command_line_continue": (
-        *(
-            "background_services.c:background_samples",
-            "background_services.c:background_session",
-            ":command_table",
-        ),
-        *("command_line.c:greeting", "command_line.c:nothing", "command_line.c:unknown"),
-        "command_line.c:spoilt",
+        *_services("samples", "session"),
+        "commands.c:commands",
+        *_in("command_line.c", "greeting", "nothing", "unknown", "spoilt"),
     ),
-    "report_commands.c": (
-        *("background_services.c:background_samples", "background_services.c:background_storing"),
-        "background_services.c:background_acknowledge",
-    ),
+    "report_commands.c": _services("samples", "storing", "acknowledge"),
     "report_commands.c:command_status": ("report_commands.c:lines",),
-    "listing_commands.c": (
-        "background_services.c:background_storing",
-        "background_services.c:background_reboot",
-    ),
-    "motor_commands.c": (
-        *("background_services.c:background_samples", "background_services.c:background_test_motors"),
-        "background_services.c:background_turn_motors",
-    ),
-    "msp_commands.c:msp_command": ("msp_commands.c:commands", "background_services.c:background_storing"),
+    "listing_commands.c": _services("storing", "reboot"),
+    "motor_commands.c": _services("samples", "test_motors", "turn_motors"),
+    "msp_commands.c:msp_command": ("msp_commands.c:commands", *_services("storing")),
 }
 
 _USAGE = re.compile(r"(?P<file>[^:]+):\d+:\d+:(?P<name>\S+)\t(?P<bytes>\d+)\t(?P<kind>\S+)")
@@ -294,38 +268,33 @@ class _Code:
         return max(candidates, key=lambda function: self._depth(function, ()).size)
 
 
-def _functions(elf: ELFFile) -> Iterator[_Function]:
+def _symbols(elf: ELFFile, kind: str) -> Iterator[tuple[str, Symbol]]:
+    """Yield the defined symbols of a kind, each with the file of a local one, "" for a global one."""
     table = elf.get_section_by_name(".symtab")
     assert isinstance(table, SymbolTableSection)
-    file = ""
-    for symbol in table.iter_symbols():
-        kind, binding = symbol["st_info"]["type"], symbol["st_info"]["bind"]
-        if kind == "STT_FILE":
-            file = Path(symbol.name).name
-        elif kind == "STT_FUNC" and symbol["st_shndx"] != "SHN_UNDEF":
-            start = symbol["st_value"] & ~1
-            local = file if binding == "STB_LOCAL" else ""
-            yield _Function(symbol.name, local, start, start + max(symbol["st_size"], 2))
-
-
-def _objects(elf: ELFFile) -> dict[tuple[str, str], tuple[int, ...]]:
-    """Return the words of each constant or initialized object, by its file ("" for a global one) and name."""
-    table = elf.get_section_by_name(".symtab")
-    assert isinstance(table, SymbolTableSection)
-    found: dict[tuple[str, str], tuple[int, ...]] = {}
     file = ""
     for symbol in table.iter_symbols():
         if symbol["st_info"]["type"] == "STT_FILE":
             file = Path(symbol.name).name
-        if symbol["st_info"]["type"] != "STT_OBJECT" or not isinstance(symbol["st_shndx"], int):
-            continue
+        elif symbol["st_info"]["type"] == kind and isinstance(symbol["st_shndx"], int):
+            yield file if symbol["st_info"]["bind"] == "STB_LOCAL" else "", symbol
+
+
+def _functions(elf: ELFFile) -> Iterator[_Function]:
+    for file, symbol in _symbols(elf, "STT_FUNC"):
+        start = symbol["st_value"] & ~1
+        yield _Function(symbol.name, file, start, start + max(symbol["st_size"], 2))
+
+
+def _objects(elf: ELFFile) -> dict[tuple[str, str], tuple[int, ...]]:
+    """Return the words of each constant or initialized object, by its file ("" for a global one) and name."""
+    found: dict[tuple[str, str], tuple[int, ...]] = {}
+    for file, symbol in _symbols(elf, "STT_OBJECT"):
         section = elf.get_section(symbol["st_shndx"])
-        if section["sh_type"] == "SHT_NOBITS":
-            continue
-        offset = symbol["st_value"] - section["sh_addr"]
-        data = section.data()[offset : offset + symbol["st_size"] // 4 * 4]
-        home = file if symbol["st_info"]["bind"] == "STB_LOCAL" else ""
-        found[home, symbol.name] = struct.unpack(f"<{len(data) // 4}I", data)
+        if section["sh_type"] != "SHT_NOBITS":
+            offset = symbol["st_value"] - section["sh_addr"]
+            data = section.data()[offset : offset + symbol["st_size"] // 4 * 4]
+            found[file, symbol.name] = struct.unpack(f"<{len(data) // 4}I", data)
     return found
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from elftools.common.exceptions import ELFError
 from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import ARMAttributesSection, SymbolTableSection
+from elftools.elf.sections import SymbolTableSection
 
 from neuroflight.toolchain.contract import (
     DTCM,
@@ -30,10 +30,7 @@ from neuroflight.toolchain.files import file_size
 
 FLASH = Region("flash", FLASH_BASE, FLASH_BYTES)
 # As the linker script has them, which leaves the null page out.
-RAM = (
-    Region("ITCM", ITCM.address + NULL_PAGE_BYTES, ITCM.size - NULL_PAGE_BYTES),
-    *(DTCM, SRAM1, SRAM2),
-)
+RAM = (Region("ITCM", ITCM.address + NULL_PAGE_BYTES, ITCM.size - NULL_PAGE_BYTES), DTCM, SRAM1, SRAM2)
 
 # What an image may take of them (the linker scripts hold it too): of its bank all but the marks at the end.
 # The boot part has a sector of its own, the policy a slot; the other slot is only made empty.
@@ -44,8 +41,6 @@ SLOT, OTHER_SLOT = (
     for name, place in zip(("policy slot", "other slot"), FLASH_POLICY_SLOTS, strict=True)
 )
 RAM_USED, RAM_LIMIT = "ram_bytes", "RAM_LIMIT"  # image.ld's names: of RAM beside weights and log
-
-VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
 
 
 def read_flashable(path: Path) -> bytes:
@@ -96,16 +91,9 @@ class Image:
     """The facts of an ELF file."""
 
     machine: str  # "ARM", "x64", ...
-    entry: int
     sections: tuple[Section, ...]
     segments: tuple[Segment, ...]
-    attributes: dict[str, object]  # of .ARM.attributes, without "TAG_"; empty elsewhere
     symbols: dict[str, int]  # name to value, defined ones
-
-    @property
-    def is_hard_float(self) -> bool:
-        """True if floats are passed in VFP registers."""
-        return self.attributes.get("ABI_VFP_ARGS") == VFP_REGISTERS
 
 
 def read_image(path: Path) -> Image:
@@ -116,7 +104,6 @@ def read_image(path: Path) -> Image:
             elf = ELFFile(file)
             return Image(
                 machine=elf.get_machine_arch(),
-                entry=elf["e_entry"],
                 sections=tuple(
                     Section(s.name, s["sh_addr"], s["sh_size"], s["sh_type"] != "SHT_NOBITS")
                     for s in elf.iter_sections()
@@ -127,7 +114,6 @@ def read_image(path: Path) -> Image:
                     for s in elf.iter_segments("PT_LOAD")
                     if s["p_filesz"]
                 ),
-                attributes=_attributes(elf),
                 symbols=_symbols(elf),
             )
     except OSError as error:
@@ -168,18 +154,6 @@ def _place(spans: Iterable[tuple[int, int, str]], regions: Sequence[Region]) -> 
 
 def _inside(address: int, size: int, region: Region) -> bool:
     return region.address <= address and address + size <= region.address + region.size
-
-
-def _attributes(elf: ELFFile) -> dict[str, object]:
-    section = elf.get_section_by_name(".ARM.attributes")
-    if not isinstance(section, ARMAttributesSection):
-        return {}
-    return {
-        attribute.tag.removeprefix("TAG_"): attribute.value
-        for subsection in section.iter_subsections()
-        for part in subsection.iter_subsubsections()
-        for attribute in part.iter_attributes()
-    }
 
 
 def _symbols(elf: ELFFile) -> dict[str, int]:

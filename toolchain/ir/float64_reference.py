@@ -12,36 +12,10 @@ from typing import Any, assert_never
 
 import numpy as np
 
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.float32 import Float32
 from neuroflight.toolchain.ir.float64_functions import Float64, erf, softplus
 from neuroflight.toolchain.ir.network import Network
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Affine,
-    Clip,
-    Concat,
-    Elu,
-    Erf,
-    Gru,
-    LayerNorm,
-    LeakyRelu,
-    Linear,
-    Lstm,
-    Multiply,
-    Operation,
-    Recurrent,
-    Relu,
-    RmsNorm,
-    Select,
-    Sigmoid,
-    Silu,
-    Slice,
-    Softmax,
-    Softplus,
-    Softsign,
-    Stateless,
-    Tanh,
-)
 
 ULP = 2.0**-23  # relative, at most: from one float32 to the next
 CONSTANTS = ("weight", "bias", "scale", "offset", "input_weight", "state_weight", "input_bias", "state_bias")
@@ -71,7 +45,7 @@ def reference(network: Network, observation: Float32, tabulated: Function = lamb
             for index, node in enumerate(network.nodes):
                 inputs = [values[number] for number in node.inputs]
                 match node.operation:
-                    case Gru() | Lstm() as cell:
+                    case op.Gru() | op.Lstm() as cell:
                         state[index] = _cell(cell, tanh, inputs[0], *state[index])
                         values.append(state[index][0])
                     case operation:
@@ -94,7 +68,7 @@ def disturbed(network: Network, observation: Float32, rng: np.random.Generator) 
     return reference(replace(network, nodes=nodes), observation, tabulated)
 
 
-def _moved(operation: Operation, rng: np.random.Generator) -> Operation:
+def _moved(operation: op.Operation, rng: np.random.Generator) -> op.Operation:
     changes: dict[str, Any] = {}
     for name in CONSTANTS:
         values = getattr(operation, name, None)
@@ -104,26 +78,20 @@ def _moved(operation: Operation, rng: np.random.Generator) -> Operation:
     return replace(operation, **changes) if changes else operation
 
 
-def _clear(operation: Operation, sequences: int) -> tuple[Float64, ...]:
+def _clear(operation: op.Operation, sequences: int) -> tuple[Float64, ...]:
     """Return the state after policy_init: none, h, or h and c."""
-    if not isinstance(operation, Recurrent):
+    if not isinstance(operation, op.Recurrent):
         return ()
     none = np.zeros((sequences, operation.units))
-    match operation:
-        case Gru():
-            return (none,)
-        case Lstm():
-            return (none, none)
-        case never:
-            assert_never(never)
+    return (none,) if isinstance(operation, op.Gru) else (none, none)
 
 
 def _cell(
-    cell: Gru | Lstm, tanh: Function, x: Float64, h: Float64, c: Float64 | None = None
+    cell: op.Gru | op.Lstm, tanh: Function, x: Float64, h: Float64, c: Float64 | None = None
 ) -> tuple[Float64, ...]:
     """Compute h' of a Gru, or h' and c' of an Lstm."""
     from_input, from_state = x @ _wide(cell.input_weight), h @ _wide(cell.state_weight)
-    if isinstance(cell, Gru):
+    if isinstance(cell, op.Gru):
         z, r, n = np.split(from_input + cell.input_bias, 3, axis=1)
         state_z, state_r, state_n = np.split(from_state + cell.state_bias, 3, axis=1)
         update, reset = _sigmoid(z + state_z, tanh), _sigmoid(r + state_r, tanh)
@@ -133,52 +101,49 @@ def _cell(
     return (_sigmoid(o, tanh) * tanh(c), c)
 
 
-def _apply(operation: Stateless, tanh: Function, tabulated: Function, inputs: list[Float64]) -> Float64:
+def _apply(operation: op.Stateless, tanh: Function, tabulated: Function, inputs: list[Float64]) -> Float64:
     x = inputs[0]
     match operation:
-        case Linear():
+        case op.Linear():
             return np.asarray(x @ _wide(operation.weight) + operation.bias)
-        case Affine(scale, offset):
+        case op.Affine(scale, offset):
             return x * scale + offset
-        case Tanh():
+        case op.Tanh():
             return tanh(x)
-        case Sigmoid():
+        case op.Sigmoid():
             return _sigmoid(x, tanh)
-        case Silu():
+        case op.Silu():
             return x * _sigmoid(x, tanh)
-        case Softsign():
+        case op.Softsign():
             return np.asarray(x / (1 + np.abs(x)))
-        case Erf():
+        case op.Erf():
             return tabulated(erf(x))
-        case Softplus():
+        case op.Softplus():
             return np.maximum(x, 0) + tabulated(softplus(-np.abs(x)))
-        case Relu():
+        case op.Relu():
             return np.maximum(x, 0)
-        case LeakyRelu(slope):
+        case op.LeakyRelu(slope):
             return np.asarray(np.where(x < 0, slope * x, x))
-        case Elu(alpha):
+        case op.Elu(alpha):
             return np.where(x < 0, alpha * tabulated(np.expm1(np.minimum(x, 0))), x)
-        case Clip(low, high):
+        case op.Clip(low, high):
             return np.clip(x, -np.inf if low is None else low, np.inf if high is None else high)
-        case LayerNorm():
-            distance = x - x.mean(axis=1, keepdims=True)
-            deviation = np.sqrt(np.square(distance).mean(axis=1, keepdims=True) + operation.epsilon)
-            return np.asarray(distance / deviation * operation.scale + operation.offset)
-        case RmsNorm(epsilon, scale, offset):
+        case op.LayerNorm(epsilon, scale, offset) | op.RmsNorm(epsilon, scale, offset):
+            x = x - x.mean(axis=1, keepdims=True) if isinstance(operation, op.LayerNorm) else x
             root = np.sqrt(np.square(x).mean(axis=1, keepdims=True) + epsilon)
             return np.asarray(x / root * scale + offset)
-        case Softmax():
+        case op.Softmax():
             share = 1 + tabulated(np.expm1(x - x.max(axis=1, keepdims=True)))
             return np.asarray(share / share.sum(axis=1, keepdims=True))
-        case Add():
+        case op.Add():
             return x + inputs[1]
-        case Multiply():
+        case op.Multiply():
             return x * inputs[1]
-        case Select():
+        case op.Select():
             return np.where(x > 0, inputs[1], inputs[2])
-        case Concat():
+        case op.Concat():
             return np.concatenate(inputs, axis=1)
-        case Slice(start, count, step):
+        case op.Slice(start, count, step):
             return x[:, start + step * np.arange(count)]
         case never:
             assert_never(never)

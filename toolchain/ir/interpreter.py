@@ -13,36 +13,11 @@ from typing import assert_never
 
 import numpy as np
 
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.activation_tables import ERF, EXPM1, SOFTPLUS, TANH, apply
 from neuroflight.toolchain.ir.float32 import Float32, fma
 from neuroflight.toolchain.ir.lanes import LANES
 from neuroflight.toolchain.ir.network import Network
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Affine,
-    Clip,
-    Concat,
-    Elu,
-    Erf,
-    Gru,
-    LayerNorm,
-    LeakyRelu,
-    Linear,
-    Lstm,
-    Multiply,
-    Recurrent,
-    Relu,
-    RmsNorm,
-    Select,
-    Sigmoid,
-    Silu,
-    Slice,
-    Softmax,
-    Softplus,
-    Softsign,
-    Stateless,
-    Tanh,
-)
 
 State = tuple[Float32, ...]  # (N, units) of each recurrent node in order; for an Lstm h, then c
 
@@ -74,8 +49,8 @@ def replay(network: Network, observation: Float32) -> Float32:
 
 def clear_state(network: Network, count: int) -> State:
     """Return the state after policy_init, for `count` policies side by side."""
-    cells = [node.operation for node in network.nodes if isinstance(node.operation, Recurrent)]
-    rows = [cell.units for cell in cells for _ in range(2 if isinstance(cell, Lstm) else 1)]
+    cells = [node.operation for node in network.nodes if isinstance(node.operation, op.Recurrent)]
+    rows = [cell.units for cell in cells for _ in range(2 if isinstance(cell, op.Lstm) else 1)]
     return tuple(np.zeros((count, units), np.float32) for units in rows)
 
 
@@ -84,7 +59,7 @@ def advance(
 ) -> tuple[Float32, State]:
     """Advance N policies by one step: actions (N, outputs) and the state after it."""
     last = network.nodes[-1].operation
-    if not isinstance(last, Clip) or last.low is None or last.high is None:
+    if not isinstance(last, op.Clip) or last.low is None or last.high is None:
         raise ValueError(f"the last operation is {last}, expected a Clip with both bounds")
     usable = np.isfinite(observation).all(axis=1, keepdims=True)
     old, new = iter(state), list[Float32]()
@@ -93,11 +68,11 @@ def advance(
         for node in network.nodes:
             inputs = [values[number] for number in node.inputs]
             match node.operation:
-                case Gru() as cell:
+                case op.Gru() as cell:
                     h = _gru(cell, inputs[0], next(old), exact)
                     new.append(h)
                     values.append(h)
-                case Lstm() as cell:
+                case op.Lstm() as cell:
                     h, c = _lstm(cell, inputs[0], next(old), next(old), exact)
                     new += [h, c]
                     values.append(h)
@@ -108,50 +83,48 @@ def advance(
     return action, tuple(np.where(lost, np.float32(0), part + np.float32(0)) for part in new)
 
 
-def _apply(operation: Stateless, inputs: Sequence[Float32], exact: bool) -> Float32:
+def _apply(operation: op.Stateless, inputs: Sequence[Float32], exact: bool) -> Float32:
     x = inputs[0]
     match operation:
-        case Linear(weight, bias):
+        case op.Linear(weight, bias):
             return _linear(weight, bias, x, exact)
-        case Affine(scale, offset):
+        case op.Affine(scale, offset):
             return fma(x, scale.astype(np.float32), offset.astype(np.float32))
-        case Tanh():
+        case op.Tanh():
             return _tanh(x, exact)
-        case Sigmoid():
+        case op.Sigmoid():
             return _sigmoid(x, exact)
-        case Silu():
+        case op.Silu():
             return x * _sigmoid(x, exact)
-        case Softsign():
+        case op.Softsign():
             quotient: Float32 = np.divide(x, _1 + np.abs(x))
             return quotient
-        case Erf():
+        case op.Erf():
             return apply(ERF, x)
-        case Softplus():
+        case op.Softplus():
             return apply(SOFTPLUS, x) + _at_least(x, 0.0)
-        case Relu():
+        case op.Relu():
             return _at_least(x, 0.0)
-        case LeakyRelu(slope):
+        case op.LeakyRelu(slope):
             return fma(_at_most(x, 0.0), np.float32(slope), _at_least(x, 0.0))
-        case Elu(alpha):
+        case op.Elu(alpha):
             return fma(apply(EXPM1, x), alpha, _at_least(x, 0.0))
-        case Clip(low, high):
+        case op.Clip(low, high):
             x = x if low is None else _at_least(x, low)
             return x if high is None else _at_most(x, high)
-        case LayerNorm():
-            return _layer_norm(operation, x)
-        case RmsNorm():
-            return _rms_norm(operation, x)
-        case Softmax():
+        case op.LayerNorm() | op.RmsNorm():
+            return _norm(operation, x)
+        case op.Softmax():
             return _softmax(x)
-        case Add():
+        case op.Add():
             return x + inputs[1]
-        case Multiply():
+        case op.Multiply():
             return x * inputs[1]
-        case Select():
+        case op.Select():
             return fma(x, np.float32(0), np.where(x > 0, inputs[1], inputs[2]))
-        case Concat():
+        case op.Concat():
             return np.concatenate(inputs, axis=1)
-        case Slice(start, count, step):
+        case op.Slice(start, count, step):
             return x[:, [start + step * index for index in range(count)]]
         case never:
             assert_never(never)
@@ -175,7 +148,7 @@ def _sigmoid(x: Float32, exact: bool) -> Float32:
     return fma(_tanh(x * _HALF, exact), _HALF, _HALF)
 
 
-def _gru(cell: Gru, x: Float32, h: Float32, exact: bool) -> Float32:
+def _gru(cell: op.Gru, x: Float32, h: Float32, exact: bool) -> Float32:
     units = cell.units
     from_input = _linear(cell.input_weight, cell.input_bias, x, exact)
     from_state = _linear(cell.state_weight, cell.state_bias, h, exact)
@@ -185,7 +158,7 @@ def _gru(cell: Gru, x: Float32, h: Float32, exact: bool) -> Float32:
     return fma(update, h - candidate, candidate)
 
 
-def _lstm(cell: Lstm, x: Float32, h: Float32, c: Float32, exact: bool) -> tuple[Float32, Float32]:
+def _lstm(cell: op.Lstm, x: Float32, h: Float32, c: Float32, exact: bool) -> tuple[Float32, Float32]:
     units = cell.units
     none = np.zeros(4 * units, np.float32)
     sums = _linear(cell.input_weight, cell.bias, x, exact) + _linear(cell.state_weight, none, h, exact)
@@ -195,16 +168,11 @@ def _lstm(cell: Lstm, x: Float32, h: Float32, c: Float32, exact: bool) -> tuple[
     return output * _tanh(c, exact), c
 
 
-def _layer_norm(norm: LayerNorm, x: Float32) -> Float32:
+def _norm(norm: op.Norm, x: Float32) -> Float32:
     share = np.float32(1 / x.shape[1])
-    distance = x - _sum(x, lambda value, total: value + total) * share
-    variance = _sum(distance, lambda value, total: fma(value, value, total)) * share
-    inverse = _1 / np.sqrt(variance + np.float32(norm.epsilon))
-    return fma(distance * inverse, norm.scale, norm.offset)
-
-
-def _rms_norm(norm: RmsNorm, x: Float32) -> Float32:
-    square = _sum(x, lambda value, total: fma(value, value, total)) * np.float32(1 / x.shape[1])
+    if isinstance(norm, op.LayerNorm):
+        x = x - _sum(x, lambda value, total: value + total) * share
+    square = _sum(x, lambda value, total: fma(value, value, total)) * share
     inverse = _1 / np.sqrt(square + np.float32(norm.epsilon))
     return fma(x * inverse, norm.scale, norm.offset)
 

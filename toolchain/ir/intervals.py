@@ -7,33 +7,9 @@ from typing import assert_never
 
 import numpy as np
 
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.float64_functions import Float64, erf, softplus
 from neuroflight.toolchain.ir.network import Network
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Affine,
-    Clip,
-    Concat,
-    Elu,
-    Erf,
-    Gru,
-    LayerNorm,
-    LeakyRelu,
-    Linear,
-    Lstm,
-    Multiply,
-    Operation,
-    Relu,
-    RmsNorm,
-    Select,
-    Sigmoid,
-    Silu,
-    Slice,
-    Softmax,
-    Softplus,
-    Softsign,
-    Tanh,
-)
 
 Interval = tuple[Float64, Float64]  # lowest and highest value, each (n,)
 
@@ -51,89 +27,64 @@ def value_intervals(network: Network, *, by_weights: bool = True) -> list[Interv
     with np.errstate(all="ignore"):
         for node, width in zip(network.nodes, network.widths[1:], strict=True):
             low, high = _interval(node.operation, [intervals[value] for value in node.inputs], width)
-            if not by_weights and isinstance(node.operation, Linear | LayerNorm | RmsNorm):
+            if not by_weights and isinstance(node.operation, op.Linear | op.LayerNorm | op.RmsNorm):
                 low, high = np.full(width, -np.inf), np.full(width, np.inf)
             # Infinity times 0 is NaN: no bound is known.
-            intervals.append(
-                (
-                    np.nan_to_num(low, nan=-np.inf, neginf=-np.inf, posinf=np.inf),
-                    np.nan_to_num(high, nan=np.inf, neginf=-np.inf, posinf=np.inf),
-                )
-            )
+            intervals.append((np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)))
     return intervals
 
 
-def _interval(operation: Operation, taken: Sequence[Interval], width: int) -> Interval:
+def _interval(operation: op.Operation, taken: Sequence[Interval], width: int) -> Interval:
     low, high = taken[0]
     one = np.ones(width)
     match operation:
-        case Linear(weight, bias):
+        case op.Linear(weight, bias):
             ends = [np.where(weight == 0, 0, weight * end) for end in (low, high)]
             return np.minimum(*ends).sum(axis=1) + bias, np.maximum(*ends).sum(axis=1) + bias
-        case Affine(scale, offset):
+        case op.Affine(scale, offset):
             ends = [np.where(scale == 0, 0, scale * end) for end in (low, high)]
             return np.minimum(*ends) + offset, np.maximum(*ends) + offset
-        case Tanh():
-            return np.tanh(low), np.tanh(high)
-        case Sigmoid():
-            return _sigmoid(low), _sigmoid(high)
-        case Softsign():
-            return _softsign(low), _softsign(high)
-        case Erf():
-            return erf(low), erf(high)
-        case Softplus():
-            return softplus(low), softplus(high)
-        case Silu():
+        case op.Tanh() | op.Sigmoid() | op.Softsign() | op.Erf() | op.Softplus():
+            rising = RISING[type(operation)]
+            return rising(low), rising(high)
+        case op.Silu():
             return np.where(low < 0, SILU_LOWEST, _silu(low)), np.maximum(0, _silu(high))
-        case Relu() | Clip():
+        case op.Relu() | op.Clip():
             bounds = clip_bounds(operation)
             return np.clip(low, *bounds), np.clip(high, *bounds)
-        case LeakyRelu(slope):
+        case op.LeakyRelu(slope):
             return _bent(lambda x: np.where(x < 0, slope * x if slope else 0, x), low, high)
-        case Elu(alpha):
+        case op.Elu(alpha):
             return _bent(lambda x: np.where(x < 0, alpha * np.expm1(x), x), low, high)
-        case LayerNorm(_, scale, offset):  # one value as far from the mean as it can be
+        case op.LayerNorm(_, scale, offset):  # one value as far from the mean as it can be
             reach = np.abs(scale) * np.sqrt(width - 1)
             return offset - reach, offset + reach
-        case RmsNorm(_, scale, offset):  # one value alone
+        case op.RmsNorm(_, scale, offset):  # one value alone
             reach = np.abs(scale) * np.sqrt(width)
             return offset - reach, offset + reach
-        case Softmax():
+        case op.Softmax():
             return 0 * one, one
-        case Gru() | Lstm():
+        case op.Gru() | op.Lstm():
             return -one, one
-        case Add():
+        case op.Add():
             return low + taken[1][0], high + taken[1][1]
-        case Multiply():
+        case op.Multiply():
             ends = [np.where((a == 0) | (b == 0), 0, a * b) for a in taken[0] for b in taken[1]]
             return np.minimum.reduce(ends), np.maximum.reduce(ends)
-        case Select():
-            (first_low, first_high), (second_low, second_high) = taken[1:]
-            always, never_taken = low > 0, high <= 0
-            return (
-                np.where(
-                    always, first_low, np.where(never_taken, second_low, np.minimum(first_low, second_low))
-                ),
-                np.where(
-                    always,
-                    first_high,
-                    np.where(never_taken, second_high, np.maximum(first_high, second_high)),
-                ),
-            )
-        case Concat():
+        case op.Select():
+            known = [low > 0, high <= 0]  # which of the two is taken
+            lows, highs = zip(*taken[1:], strict=True)
+            return np.select(known, lows, np.minimum(*lows)), np.select(known, highs, np.maximum(*highs))
+        case op.Concat():
             return np.concatenate([low for low, _ in taken]), np.concatenate([high for _, high in taken])
-        case Slice(start, count, step):
+        case op.Slice(start, count, step):
             places = start + step * np.arange(count)
             return low[places], high[places]
         case never:
             assert_never(never)
 
 
-def _bent(
-    function: Callable[[Float64], Float64],
-    low: Float64,
-    high: Float64,
-) -> Interval:
+def _bent(function: Callable[[Float64], Float64], low: Float64, high: Float64) -> Interval:
     """Return the range of a function that is monotone on either side of 0, where it is 0."""
     ends = [function(low), function(high), np.where((low < 0) & (high > 0), 0, function(low))]
     return np.minimum.reduce(ends), np.maximum.reduce(ends)
@@ -152,11 +103,20 @@ def _softsign(x: Float64) -> Float64:
     return np.where(np.isinf(x), np.sign(x), x / (1 + np.abs(x)))
 
 
-def clip_bounds(operation: Operation) -> tuple[float, float]:
+RISING: dict[type[op.Operation], Callable[[Float64], Float64]] = {
+    op.Tanh: np.tanh,
+    op.Sigmoid: _sigmoid,
+    op.Softsign: _softsign,
+    op.Erf: erf,
+    op.Softplus: softplus,
+}
+
+
+def clip_bounds(operation: op.Operation) -> tuple[float, float]:
     """Return the bounds of a Relu or Clip, infinite where it has none."""
     match operation:
-        case Relu():
+        case op.Relu():
             return 0.0, np.inf
-        case Clip(low, high):
+        case op.Clip(low, high):
             return -np.inf if low is None else low, np.inf if high is None else high
     raise TypeError(f"{operation} has no bounds")

@@ -10,23 +10,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.toolchain.ir.operations import (
-    Activation,
-    Add,
-    Affine,
-    Concat,
-    Gru,
-    LayerNorm,
-    Linear,
-    Lstm,
-    Multiply,
-    Operation,
-    Recurrent,
-    RmsNorm,
-    Select,
-    Slice,
-    Softmax,
-)
+from neuroflight.toolchain.ir import operations as op
 
 OBSERVATION = 0  # the number of the first value
 
@@ -35,7 +19,7 @@ OBSERVATION = 0  # the number of the first value
 class Node:
     """One operation. Value 0 is the observation, value i + 1 the result of node i."""
 
-    operation: Operation
+    operation: op.Operation
     inputs: tuple[int, ...]  # numbers of earlier values
     name: str = ""  # of the ONNX node it comes from, for people
 
@@ -70,7 +54,7 @@ class Network:
     @property
     def recurrent(self) -> bool:
         """True if an action depends on earlier observations."""
-        return any(isinstance(node.operation, Recurrent) for node in self.nodes)
+        return any(isinstance(node.operation, op.Recurrent) for node in self.nodes)
 
     @property
     def multiply_adds(self) -> int:
@@ -83,44 +67,44 @@ class Network:
         widths, hidden = [str(self.inputs)], set()
         for node in self.nodes[:-1]:
             match node.operation:
-                case Linear() as layer:
+                case op.Linear() as layer:
                     widths.append(str(layer.outputs))
-                case Gru() | Lstm() as cell:
+                case op.Gru() | op.Lstm() as cell:
                     widths.append(f"{type(cell).__name__.lower()}{cell.units}")
-                case Affine() | Concat() | Slice():
+                case op.Affine() | op.Concat() | op.Slice():
                     pass
                 case other:
                     hidden.add(type(other).__name__.lower())
         return " ".join(["-".join(widths), *sorted(hidden)])
 
 
-def chain(inputs: int, operations: Iterable[Operation]) -> Network:
+def chain(inputs: int, operations: Iterable[op.Operation]) -> Network:
     """Return the network in which every operation takes the value before it."""
-    return Network(inputs, tuple(Node(op, (index,)) for index, op in enumerate(operations)))
+    return Network(inputs, tuple(Node(each, (index,)) for index, each in enumerate(operations)))
 
 
-def output_width(operation: Operation, widths: Sequence[int]) -> int:
+def output_width(operation: op.Operation, widths: Sequence[int]) -> int:
     """Return the width of the result of `operation`. Raises ValueError if `widths` do not fit it."""
     same = widths[0] if widths else 0
-    if isinstance(operation, Activation):
+    if isinstance(operation, op.Activation):
         expected, result = [same], same
     else:
         match operation:
-            case Add() | Multiply():
+            case op.Add() | op.Multiply():
                 expected, result = [same, same], same
-            case Softmax():
+            case op.Softmax():
                 expected, result = [same], same
-            case Select():
+            case op.Select():
                 expected, result = [same, same, same], same
-            case Affine() | LayerNorm() | RmsNorm():
+            case op.Affine() | op.LayerNorm() | op.RmsNorm():
                 expected, result = [operation.scale.size], operation.scale.size
-            case Linear():
+            case op.Linear():
                 expected, result = [operation.inputs], operation.outputs
-            case Gru() | Lstm():
+            case op.Gru() | op.Lstm():
                 expected, result = [int(operation.input_weight.shape[1])], operation.units
-            case Concat():
+            case op.Concat():
                 expected, result = list(widths), sum(widths)
-            case Slice(start, count, step):
+            case op.Slice(start, count, step):
                 last = start + (count - 1) * step
                 if count < 1 or step == 0 or not (0 <= start < same and 0 <= last < same):
                     raise ValueError(f"{operation} of {same} values")
@@ -132,12 +116,12 @@ def output_width(operation: Operation, widths: Sequence[int]) -> int:
     return result
 
 
-def multiply_adds(operation: Operation) -> int:
+def multiply_adds(operation: op.Operation) -> int:
     """Count the multiply-accumulates of the operation's matrices."""
     return sum(array.size for array in arrays(operation) if array.ndim == 2)
 
 
-def arrays(operation: Operation) -> list[NDArray[np.floating[Any]]]:
+def arrays(operation: op.Operation) -> list[NDArray[np.floating[Any]]]:
     """List the operation's constants that are arrays."""
     return [value for value in vars(operation).values() if isinstance(value, np.ndarray)]
 

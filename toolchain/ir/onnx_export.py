@@ -14,46 +14,23 @@ from numpy.typing import ArrayLike, DTypeLike
 from onnx import helper, numpy_helper
 
 from neuroflight.toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.network import Network, Node
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Affine,
-    Clip,
-    Concat,
-    Elu,
-    Erf,
-    Gru,
-    LayerNorm,
-    LeakyRelu,
-    Linear,
-    Lstm,
-    Multiply,
-    Relu,
-    RmsNorm,
-    Select,
-    Sigmoid,
-    Silu,
-    Slice,
-    Softmax,
-    Softplus,
-    Softsign,
-    Tanh,
-)
 
 OPSET = 17  # the first with LayerNormalization
 IR_VERSION = 8  # of the same ONNX release
 STATE, NEW_STATE = "state", "new_state"  # names begin so
 
 _FUNCTIONS = {
-    Tanh: "Tanh",
-    Sigmoid: "Sigmoid",
-    Softsign: "Softsign",
-    Erf: "Erf",
-    Softplus: "Softplus",
-    Softmax: "Softmax",
-    Relu: "Relu",
-    Add: "Add",
-    Multiply: "Mul",
+    op.Tanh: "Tanh",
+    op.Sigmoid: "Sigmoid",
+    op.Softsign: "Softsign",
+    op.Erf: "Erf",
+    op.Softplus: "Softplus",
+    op.Softmax: "Softmax",
+    op.Relu: "Relu",
+    op.Add: "Add",
+    op.Multiply: "Mul",
 }
 _BACKWARD_END = np.iinfo(np.int64).min  # where a Slice with a negative step ends that takes element 0
 
@@ -90,11 +67,7 @@ class _Graph:
 
 
 def to_model(
-    network: Network,
-    *,
-    rows: int | str = 1,
-    state: bool = False,
-    values: bool = False,
+    network: Network, *, rows: int | str = 1, state: bool = False, values: bool = False
 ) -> onnx.ModelProto:
     """Convert `network` to an ONNX model, `observation` [rows, n] to `action` [rows, m], without metadata.
 
@@ -129,9 +102,9 @@ def _write(graph: _Graph, node: Node, inputs: list[str], output: str, state: boo
     """Append the ONNX nodes of one node."""
     x, y = inputs[0], [output]
     match node.operation:
-        case Linear(weight, bias):
+        case op.Linear(weight, bias):
             graph.add("Gemm", [x, graph.constant(weight), graph.constant(bias)], y, transB=1)
-        case Affine(scale, offset):
+        case op.Affine(scale, offset):
             if not offset.any():
                 graph.add("Mul", [x, graph.constant(scale)], y)
                 return
@@ -139,24 +112,24 @@ def _write(graph: _Graph, node: Node, inputs: list[str], output: str, state: boo
                 graph.add("Mul", [x, graph.constant(scale)], [f"{output}_scaled"])
                 x = f"{output}_scaled"
             graph.add("Add", [x, graph.constant(offset)], y)
-        case Tanh() | Sigmoid() | Softsign() | Erf() | Softplus() | Softmax() as operation:
+        case op.Tanh() | op.Sigmoid() | op.Softsign() | op.Erf() | op.Softplus() | op.Softmax() as operation:
             graph.add(_FUNCTIONS[type(operation)], inputs, y)
-        case Relu() | Add() | Multiply() as operation:
+        case op.Relu() | op.Add() | op.Multiply() as operation:
             graph.add(_FUNCTIONS[type(operation)], inputs, y)
-        case Silu():
+        case op.Silu():
             graph.add("Sigmoid", [x], [f"{output}_sigmoid"])
             graph.add("Mul", [x, f"{output}_sigmoid"], y)
-        case LeakyRelu(slope):
+        case op.LeakyRelu(slope):
             graph.add("LeakyRelu", [x], y, alpha=float(slope))
-        case Elu(alpha):
+        case op.Elu(alpha):
             graph.add("Elu", [x], y, alpha=float(alpha))
-        case Clip(low, high):
+        case op.Clip(low, high):
             bounds = ["" if bound is None else graph.constant(bound) for bound in (low, high)]
             graph.add("Clip", [x, *bounds], y)
-        case LayerNorm(epsilon, scale, offset):
+        case op.LayerNorm(epsilon, scale, offset):
             affine = [graph.constant(scale), graph.constant(offset)]
             graph.add("LayerNormalization", [x, *affine], y, axis=1, epsilon=float(epsilon))
-        case RmsNorm(epsilon, scale, offset):
+        case op.RmsNorm(epsilon, scale, offset):
             graph.add("Mul", [x, x], [f"{output}_square"])
             graph.add("ReduceMean", [f"{output}_square"], [f"{output}_mean"], axes=[1])
             graph.add("Add", [f"{output}_mean", graph.constant(epsilon)], [f"{output}_sum"])
@@ -164,38 +137,38 @@ def _write(graph: _Graph, node: Node, inputs: list[str], output: str, state: boo
             graph.add("Div", [x, f"{output}_root"], [f"{output}_norm"])
             graph.add("Mul", [f"{output}_norm", graph.constant(scale)], [f"{output}_scaled"])
             graph.add("Add", [f"{output}_scaled", graph.constant(offset)], y)
-        case Select():
+        case op.Select():
             graph.add("Greater", [x, graph.constant(0)], [f"{output}_above"])
             graph.add("Where", [f"{output}_above", *inputs[1:]], y)
-        case Concat():
+        case op.Concat():
             graph.add("Concat", inputs, y, axis=1)
-        case Slice(start, count, step):
+        case op.Slice(start, count, step):
             end = start + count * step
             ends = (start, _BACKWARD_END if end < 0 else end, 1, step)
             graph.add("Slice", [x, *(graph.constant([number], np.int64) for number in ends)], y)
-        case Gru() | Lstm() as cell:
+        case op.Gru() | op.Lstm() as cell:
             _write_cell(graph, cell, x, output, state)
         case never:
             assert_never(never)
 
 
-def _write_cell(graph: _Graph, cell: Gru | Lstm, x: str, output: str, state: bool) -> None:
+def _write_cell(graph: _Graph, cell: op.Gru | op.Lstm, x: str, output: str, state: bool) -> None:
     """Append a recurrent cell over a sequence of one: a row [rows, n] is [1, rows, n] inside."""
     axis = graph.constant([0], np.int64)
     none = np.zeros(4 * cell.units)
-    biases = (cell.input_bias, cell.state_bias) if isinstance(cell, Gru) else (cell.bias, none)
+    biases = (cell.input_bias, cell.state_bias) if isinstance(cell, op.Gru) else (cell.bias, none)
     inputs = [f"{output}_x", graph.constant(cell.input_weight[None]), graph.constant(cell.state_weight[None])]
     inputs += [graph.constant(np.concatenate(biases)[None]), ""]
     graph.add("Unsqueeze", [x, axis], [inputs[0]])
     results = [(f"{output}_h", output)]
     if state:
-        results += [(f"{output}_c", f"{output}_c_row")] * isinstance(cell, Lstm)
+        results += [(f"{output}_c", f"{output}_c_row")] * isinstance(cell, op.Lstm)
         for inner, _ in results:
             index = len(graph.states)
             graph.states.append((f"{STATE}{index}", f"{NEW_STATE}{index}", cell.units))
             graph.add("Unsqueeze", [f"{STATE}{index}", axis], [f"{inner}_before"])
             inputs.append(f"{inner}_before")
-    options = {"linear_before_reset": 1} if isinstance(cell, Gru) else {}
+    options = {"linear_before_reset": 1} if isinstance(cell, op.Gru) else {}
     outputs = ["", *(inner for inner, _ in results)]
     graph.add(type(cell).__name__.upper(), inputs, outputs, hidden_size=cell.units, **options)
     for inner, result in results:

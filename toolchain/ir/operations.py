@@ -193,9 +193,7 @@ class Lstm:
 
 
 Activation = Tanh | Sigmoid | Silu | Softsign | Erf | Softplus | Relu | LeakyRelu | Elu | Clip
-Elementwise = (
-    Affine | Activation | Add | Multiply | Select
-)  # each element of the result from the same of the inputs
+Elementwise = Affine | Activation | Add | Multiply | Select  # each element from the same of the inputs
 Norm = LayerNorm | RmsNorm
 Stateless = Elementwise | Linear | Norm | Softmax | Concat | Slice
 Recurrent = Gru | Lstm

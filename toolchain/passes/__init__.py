@@ -10,32 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, assert_never
 
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.network import Network, arrays, multiply_adds
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Affine,
-    Clip,
-    Concat,
-    Elu,
-    Erf,
-    Gru,
-    LayerNorm,
-    LeakyRelu,
-    Linear,
-    Lstm,
-    Multiply,
-    Operation,
-    Relu,
-    RmsNorm,
-    Select,
-    Sigmoid,
-    Silu,
-    Slice,
-    Softmax,
-    Softplus,
-    Softsign,
-    Tanh,
-)
 from neuroflight.toolchain.passes.affine import fold_affine, lower_sigmoid, merge_affine, move_affine, rounded
 from neuroflight.toolchain.passes.bounds import drop_bounds, fold_constants
 from neuroflight.toolchain.passes.matrices import merge_linear
@@ -110,7 +86,7 @@ def optimize(network: Network, prove: bool = False) -> tuple[Network, tuple[Savi
                 savings[step.name] = _add(savings.get(step.name), step.name, network, after, prove)
                 network = after
     for node in network.nodes:
-        if isinstance(node.operation, Affine):  # the others have been rounded where they were made
+        if isinstance(node.operation, op.Affine):  # the others have been rounded where they were made
             rounded(node.operation.scale)
             rounded(node.operation.offset)
     return network, tuple(savings[step.name] for step in PASSES if step.name in savings)
@@ -123,29 +99,38 @@ def size(network: Network) -> Size:
     return Size(len(network.nodes), total, sum(weight_bytes(node.operation) for node in network.nodes))
 
 
-def weight_bytes(operation: Operation) -> int:
+def weight_bytes(operation: op.Operation) -> int:
     """Return the bytes of the operation's weights in float32."""
     return sum(FLOAT_BYTES * array.size for array in arrays(operation))
 
 
-def operations(operation: Operation, width: int) -> int:
+def operations(operation: op.Operation, width: int) -> int:
     """Count the operations of one evaluation; a function that has a kernel of its own counts as one."""
     match operation:
-        case Linear():
+        case op.Linear():
             return multiply_adds(operation)
-        case Gru():  # 2 sums, 2 sigmoids of 3, tanh, 2 products with a sum, a difference
+        case op.Gru():  # 2 sums, 2 sigmoids of 3, tanh, 2 products with a sum, a difference
             return multiply_adds(operation) + 12 * width
-        case Lstm():  # 4 sums, 3 sigmoids of 3, 2 tanh, 2 products, a product with a sum
+        case op.Lstm():  # 4 sums, 3 sigmoids of 3, 2 tanh, 2 products, a product with a sum
             return multiply_adds(operation) + 18 * width
-        case Concat() | Slice():
+        case op.Concat() | op.Slice():
             return 0
-        case Sigmoid() | Softsign() | Softplus() | Elu():
+        case op.Sigmoid() | op.Softsign() | op.Softplus() | op.Elu():
             return 3 * width
-        case LayerNorm() | RmsNorm() | Softmax() | Silu():
+        case op.LayerNorm() | op.RmsNorm() | op.Softmax() | op.Silu():
             return 4 * width
-        case LeakyRelu():
+        case op.LeakyRelu():
             return 2 * width
-        case Affine() | Tanh() | Erf() | Relu() | Clip() | Add() | Multiply() | Select():
+        case (
+            op.Affine()
+            | op.Tanh()
+            | op.Erf()
+            | op.Relu()
+            | op.Clip()
+            | op.Add()
+            | op.Multiply()
+            | op.Select()
+        ):
             return width
         case never:
             assert_never(never)

@@ -8,20 +8,8 @@ from typing import assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.network import OBSERVATION, Network, Node, sweep
-from neuroflight.toolchain.ir.operations import (
-    Affine,
-    Concat,
-    Elementwise,
-    Gru,
-    LayerNorm,
-    Linear,
-    Lstm,
-    Operation,
-    RmsNorm,
-    Slice,
-    Softmax,
-)
 
 Mask = NDArray[np.bool_]  # (n,): which elements of a value are kept
 
@@ -40,7 +28,7 @@ def drop_unread(network: Network) -> Network:
     for number, node in enumerate(network.nodes, 1):
         if kept[number].any():
             inputs = node.inputs
-            if isinstance(node.operation, Concat):
+            if isinstance(node.operation, op.Concat):
                 parts = _parts(kept[number], [kept[value].size for value in inputs])
                 inputs = tuple(value for value, part in zip(inputs, parts, strict=True) if part.any())
             operation = _cut(node.operation, kept[number], kept[inputs[0]])
@@ -63,29 +51,29 @@ def kept_elements(network: Network) -> list[Mask]:
     return kept
 
 
-def _mark(operation: Operation, result: Mask, taken: Sequence[Mask]) -> None:
+def _mark(operation: op.Operation, result: Mask, taken: Sequence[Mask]) -> None:
     """Mark the elements of `taken` that `result` needs, and those of `result` that have to stay with them."""
     if not result.any():
         return
-    if isinstance(operation, Elementwise):
+    if isinstance(operation, op.Elementwise):
         for mask in taken:
             result |= mask
         for mask in taken:
             mask |= result
         return
     match operation:
-        case Linear(weight, _):
+        case op.Linear(weight, _):
             taken[0] |= (weight[result] != 0).any(axis=0)
             taken[0][0] |= not taken[0].any()  # a value has at least one element
-        case Gru() | Lstm() | LayerNorm() | RmsNorm() | Softmax():
+        case op.Gru() | op.Lstm() | op.LayerNorm() | op.RmsNorm() | op.Softmax():
             result[:] = True
             taken[0][:] = True
-        case Concat():
+        case op.Concat():
             for mask, part in zip(taken, _parts(result, [mask.size for mask in taken]), strict=True):
                 if part.any():
                     mask |= part
                     part |= mask
-        case Slice():
+        case op.Slice():
             _mark_slice(operation, result, taken[0])
         case never:
             assert_never(never)
@@ -96,7 +84,7 @@ def _parts(result: Mask, widths: Sequence[int]) -> list[Mask]:
     return np.split(result, np.cumsum(widths)[:-1])
 
 
-def _mark_slice(cut: Slice, result: Mask, taken: Mask) -> None:
+def _mark_slice(cut: op.Slice, result: Mask, taken: Mask) -> None:
     places = cut.start + cut.step * np.arange(cut.count)
     taken[places[result]] = True
     if _progression(cut, result, taken) is None:
@@ -104,24 +92,24 @@ def _mark_slice(cut: Slice, result: Mask, taken: Mask) -> None:
         taken[:] = True
 
 
-def _progression(cut: Slice, result: Mask, taken: Mask) -> Slice | None:
+def _progression(cut: op.Slice, result: Mask, taken: Mask) -> op.Slice | None:
     """Return the slice that takes the kept elements of `result` from those `taken`, None if there is none."""
     places = cut.start + cut.step * np.arange(cut.count)
     new = (np.cumsum(taken) - 1)[places[result]]
     steps = np.unique(np.diff(new))
     if steps.size > 1:
         return None
-    return Slice(int(new[0]), int(new.size), int(steps[0]) if steps.size else 1)
+    return op.Slice(int(new[0]), int(new.size), int(steps[0]) if steps.size else 1)
 
 
-def _cut(operation: Operation, result: Mask, taken: Mask) -> Operation:
+def _cut(operation: op.Operation, result: Mask, taken: Mask) -> op.Operation:
     """Reduce `operation` to the kept elements."""
     match operation:
-        case Linear(weight, bias):
-            return Linear(np.ascontiguousarray(weight[result][:, taken]), bias[result])
-        case Affine(scale, offset):
-            return Affine(scale[result], offset[result])
-        case Slice():
+        case op.Linear(weight, bias):
+            return op.Linear(np.ascontiguousarray(weight[result][:, taken]), bias[result])
+        case op.Affine(scale, offset):
+            return op.Affine(scale[result], offset[result])
+        case op.Slice():
             cut = _progression(operation, result, taken)
             assert cut is not None
             return cut

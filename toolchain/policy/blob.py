@@ -258,24 +258,14 @@ def _read_model(delay: int, arrays: dict[str, bytes], motors: int) -> ModelConst
         if any(arrays[name].strip(b"\0") for name in names):
             raise PolicyError(f"the blob has no model, but constants of one; {MEND}")
         return None
-    a, b, c, rise, fall, gain, loss, correction = rotor.tolist()
+    *curve, rise, fall, gain, loss, correction = rotor.tolist()
+    shares = {"rise": rise, "fall": fall, "gain_max": gain, "loss_max": loss, "correction": correction}
     rows = [part.reshape(3, contract.MOTOR_COUNT_MAX) for part in (turn, reaction)]
     if any(part[:, motors:].tobytes().strip(b"\0") for part in rows):
         raise PolicyError(f"the blob's model has values of more motors than the {motors} it drives; {MEND}")
     try:
-        return ModelConstants.of(
-            {
-                "delay_steps": delay,
-                "speed_curve": [a, b, c],
-                "rise": rise,
-                "fall": fall,
-                "gain_max": gain,
-                "loss_max": loss,
-                "correction": correction,
-                "turn": rows[0][:, :motors].tolist(),
-                "reaction": rows[1][:, :motors].tolist(),
-            }
-        )
+        axes = {"turn": rows[0][:, :motors].tolist(), "reaction": rows[1][:, :motors].tolist()}
+        return ModelConstants.of({"delay_steps": delay, "speed_curve": curve, **shares, **axes})
     except ValueError as error:
         raise PolicyError(f"the blob's model: {error}; {MEND}") from error
 

@@ -11,9 +11,8 @@ SAFETENSORS_HEADER_MAX = 100_000_000  # bytes, as its own reader has it
 TEXT_BYTES = 4096  # that are looked at to call a file text
 TORCH_EXPORT = "export its actor with torch.onnx.export(actor.eval(), (torch.zeros(1, n),), 'actor.onnx')"
 KERAS_EXPORT = "export it with model.export('actor.onnx', format='onnx') or tf2onnx"
-OLD_TORCH = (
-    b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."  # the number that torch's files before 1.6 begin with
-)
+# The number that torch's files before 1.6 begin with.
+OLD_TORCH = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."
 STARTS = (
     (
         b"version https://git-lfs",

@@ -21,21 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.errors import PolicyError
-from neuroflight.toolchain.policy.freeze_memory import KINDS, Memory
+from neuroflight.toolchain.policy.freeze_memory import KINDS, Memory, tensor
 from neuroflight.toolchain.policy.plain_checkpoint import ANOTHER_TRAINER, load_plain
 
 OPSET, IR_VERSION = 17, 8  # old enough for every runtime in use, new enough for every operator here
 ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
-TOLD = (
-    "aircraft",
-    "observation",
-    "control_rate_hz",
-    "filters",
-    "idle",
-    "mix",
-    "gyro_filter",
-    "model",
-)  # by keys of their own
+# By keys of their own.
+TOLD = ("aircraft", "observation", "control_rate_hz", "filters", "idle", "mix", "gyro_filter", "model")
 TRAINING_VALUE_MAX = 400  # characters of JSON: a longer entry of the configuration is bulk and left out
 
 Matrix = NDArray[np.float64]
@@ -234,30 +226,18 @@ def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple
     """
     widths = [len(frozen.observation_scale), *frozen.hidden, frozen.motors][frozen.recurrent != "none" :]
     names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(widths) - 2)] + ["action_net"]
-    layers = []
-    for name, inputs, outputs in zip(names, widths, widths[1:], strict=False):
-        pair = []
-        for key, shape in ((f"{name}.weight", (outputs, inputs)), (f"{name}.bias", (outputs,))):
-            if key not in state:
-                raise PolicyError(f"the checkpoint lacks the tensor {key!r}")
-            array = np.asarray(state[key])
-            if array.shape != shape or array.dtype != np.float32:
-                got = f"{array.dtype} {list(array.shape)}"
-                raise PolicyError(f"tensor {key!r} is {got}, expected float32 {list(shape)}")
-            pair.append(array.astype(np.float64))
-        layers.append((pair[0], pair[1]))
-    return layers
+    return [
+        (tensor(state, f"{name}.weight", (outputs, inputs)), tensor(state, f"{name}.bias", (outputs,)))
+        for name, inputs, outputs in zip(names, widths, widths[1:], strict=False)
+    ]
 
 
 def _layers(
     frozen: FrozenConfig, state: Mapping[str, ArrayLike], fold: bool
 ) -> tuple[Memory | None, list[tuple[Matrix, Matrix]]]:
     """Return the memory and the layers; fold: with the observation's scale and the output's map in them."""
-    scale, memory, layers = (
-        np.array(frozen.observation_scale),
-        _memory(frozen, state),
-        _weights(frozen, state),
-    )
+    scale, layers = np.array(frozen.observation_scale), _weights(frozen, state)
+    memory = _memory(frozen, state)
     if not fold:
         return memory, layers
     if memory is not None:

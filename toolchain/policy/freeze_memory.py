@@ -17,6 +17,17 @@ KINDS = {"gru": (1, 0, 2), "lstm": (0, 3, 1, 2)}
 _NAMES = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
 
 
+def tensor(state: Mapping[str, ArrayLike], key: str, shape: tuple[int, ...]) -> Matrix:
+    """Return a checkpoint's tensor. Raises PolicyError naming it where it is missing or does not fit."""
+    if key not in state:
+        raise PolicyError(f"the checkpoint lacks the tensor {key!r}")
+    array = np.asarray(state[key])
+    if array.shape != shape or array.dtype != np.float32:
+        got = f"{array.dtype} {list(array.shape)}"
+        raise PolicyError(f"tensor {key!r} is {got}, expected float32 {list(shape)}")
+    return array.astype(np.float64)
+
+
 @dataclass(frozen=True, eq=False)
 class Memory:
     """Weights of H units with n inputs, rows by gates as torch has them.
@@ -39,17 +50,8 @@ class Memory:
     def of(kind: str, state: Mapping[str, ArrayLike], inputs: int, units: int) -> Memory:
         """Build the memory from a checkpoint's tensors. Raises PolicyError naming one that does not fit."""
         size = len(KINDS[kind]) * units
-        parts = []
-        for name, shape in zip(_NAMES, ((size, inputs), (size, units), (size,), (size,)), strict=True):
-            key = f"recurrent.{name}_l0"
-            if key not in state:
-                raise PolicyError(f"the checkpoint lacks the tensor {key!r}")
-            array = np.asarray(state[key])
-            if array.shape != shape or array.dtype != np.float32:
-                got = f"{array.dtype} {list(array.shape)}"
-                raise PolicyError(f"tensor {key!r} is {got}, expected float32 {list(shape)}")
-            parts.append(array.astype(np.float64))
-        return Memory(kind, *parts)
+        shapes = zip(_NAMES, ((size, inputs), (size, units), (size,), (size,)), strict=True)
+        return Memory(kind, *(tensor(state, f"recurrent.{name}_l0", shape) for name, shape in shapes))
 
     def scaled(self, factors: Matrix) -> Memory:
         """Return the memory for inputs that are not yet multiplied by `factors` (n,)."""

@@ -18,23 +18,9 @@ import math
 
 import numpy as np
 
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Clip,
-    Elu,
-    Erf,
-    LeakyRelu,
-    Multiply,
-    Operation,
-    Relu,
-    Select,
-    Sigmoid,
-    Silu,
-    Softplus,
-    Tanh,
-)
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.reader.arithmetic import constant_row, mapped
-from neuroflight.toolchain.reader.values import Builder, Call, RowValue, joint_shape
+from neuroflight.toolchain.reader.values import Call, RowValue, joint_shape
 
 GELU_CUBE = 0.044715  # of GELU's tanh form, in ONNX as in torch and JAX
 # ONNX's defaults, the float32 nearest to Klambauer et al.'s numbers.
@@ -42,116 +28,116 @@ SELU_ALPHA, SELU_GAMMA = 1.67326319217681884765625, 1.05070102214813232421875
 POWERS = (2, 3)
 
 
-def read_gelu(build: Builder, call: Call) -> RowValue:
+def read_gelu(call: Call) -> RowValue:
     """Read Gelu, of either form."""
     row, form = call.row(), call.attributes.get("approximate", b"none")
     if form == b"none":
-        inner = _then(build, call, Erf(), _scaled(build, call, row, math.sqrt(0.5)))
+        inner = _then(call, op.Erf(), _scaled(call, row, math.sqrt(0.5)))
     elif form == b"tanh":
         # sqrt(2 / pi) x (1 + 0.044715 x^2) passes tanh's limits long before x is 10: x is clipped there, so
         # that its square stays within float32.
-        near = _then(build, call, Clip(-10.0, 10.0), row)
+        near = _then(call, op.Clip(-10.0, 10.0), row)
         factor = math.sqrt(2 / math.pi)
-        square = _then(build, call, Multiply(), near, near)
-        cubic = mapped(build, call, square, GELU_CUBE * factor, factor, row.shape)
-        inner = _then(build, call, Tanh(), _then(build, call, Multiply(), near, cubic))
+        square = _then(call, op.Multiply(), near, near)
+        cubic = mapped(call, square, GELU_CUBE * factor, factor, row.shape)
+        inner = _then(call, op.Tanh(), _then(call, op.Multiply(), near, cubic))
     else:
         raise call.error(f"has approximate {form!r}, expected none or tanh")
-    return _then(build, call, Multiply(), row, mapped(build, call, inner, 0.5, 0.5, row.shape))
+    return _then(call, op.Multiply(), row, mapped(call, inner, 0.5, 0.5, row.shape))
 
 
-def read_mish(build: Builder, call: Call) -> RowValue:
+def read_mish(call: Call) -> RowValue:
     """Read Mish."""
-    gate = _then(build, call, Tanh(), _then(build, call, Softplus(), call.row()))
-    return _then(build, call, Multiply(), call.row(), gate)
+    gate = _then(call, op.Tanh(), _then(call, op.Softplus(), call.row()))
+    return _then(call, op.Multiply(), call.row(), gate)
 
 
-def read_selu(build: Builder, call: Call) -> RowValue:
+def read_selu(call: Call) -> RowValue:
     """Read Selu."""
     alpha, gamma = _attribute(call, "alpha", SELU_ALPHA), _attribute(call, "gamma", SELU_GAMMA)
-    return _scaled(build, call, _then(build, call, Elu(alpha), call.row()), gamma)
+    return _scaled(call, _then(call, op.Elu(alpha), call.row()), gamma)
 
 
-def read_celu(build: Builder, call: Call) -> RowValue:
+def read_celu(call: Call) -> RowValue:
     """Read Celu."""
     if (alpha := _attribute(call, "alpha", 1.0)) <= 0:
         raise call.error(f"has alpha {alpha:g}, expected more than 0")
     row = call.row()
     if alpha == 1:
-        return _then(build, call, Elu(1.0), row)
-    return _scaled(build, call, _then(build, call, Elu(1.0), _scaled(build, call, row, 1 / alpha)), alpha)
+        return _then(call, op.Elu(1.0), row)
+    return _scaled(call, _then(call, op.Elu(1.0), _scaled(call, row, 1 / alpha)), alpha)
 
 
-def read_prelu(build: Builder, call: Call) -> RowValue:
+def read_prelu(call: Call) -> RowValue:
     """Read PRelu, of one slope or one for each value."""
     row, slope = call.row(), call.floats(1)
     if slope is None or joint_shape(call, slope.shape, row.shape) != row.shape:
         raise call.error(f"has slopes that do not fit a value of shape {list(row.shape)}")
     slopes = np.broadcast_to(slope, row.shape).ravel().astype(np.float64)
     if (slopes == slopes[0]).all():
-        return _then(build, call, LeakyRelu(float(slopes[0])), row)
-    below = mapped(build, call, _then(build, call, Clip(None, 0.0), row), slopes, 0.0, row.shape)
-    return _then(build, call, Add(), _then(build, call, Relu(), row), below)
+        return _then(call, op.LeakyRelu(float(slopes[0])), row)
+    below = mapped(call, _then(call, op.Clip(None, 0.0), row), slopes, 0.0, row.shape)
+    return _then(call, op.Add(), _then(call, op.Relu(), row), below)
 
 
-def read_hard_sigmoid(build: Builder, call: Call) -> RowValue:
+def read_hard_sigmoid(call: Call) -> RowValue:
     """Read HardSigmoid: alpha x + beta, between 0 and 1."""
-    return _hard_sigmoid(build, call, _attribute(call, "alpha", 0.2), _attribute(call, "beta", 0.5))
+    return _hard_sigmoid(call, _attribute(call, "alpha", 0.2), _attribute(call, "beta", 0.5))
 
 
-def read_hard_swish(build: Builder, call: Call) -> RowValue:
+def read_hard_swish(call: Call) -> RowValue:
     """Read HardSwish."""
-    return _then(build, call, Multiply(), call.row(), _hard_sigmoid(build, call, 1 / 6, 0.5))
+    return _then(call, op.Multiply(), call.row(), _hard_sigmoid(call, 1 / 6, 0.5))
 
 
-def read_swish(build: Builder, call: Call) -> RowValue:
+def read_swish(call: Call) -> RowValue:
     """Read Swish."""
     row = call.row()
     if (alpha := _attribute(call, "alpha", 1.0)) == 1:
-        return _then(build, call, Silu(), row)
-    gate = _then(build, call, Sigmoid(), _scaled(build, call, row, alpha))
-    return _then(build, call, Multiply(), row, gate)
+        return _then(call, op.Silu(), row)
+    gate = _then(call, op.Sigmoid(), _scaled(call, row, alpha))
+    return _then(call, op.Multiply(), row, gate)
 
 
-def read_thresholded(build: Builder, call: Call) -> RowValue:
+def read_thresholded(call: Call) -> RowValue:
     """Read ThresholdedRelu: x where it is above alpha, else 0."""
     row, alpha = call.row(), _attribute(call, "alpha", 1.0)
     if alpha == 0:
-        return _then(build, call, Relu(), row)
-    above = mapped(build, call, row, 1.0, -alpha, row.shape)
-    return _then(build, call, Select(), above, row, constant_row(build, call, row, np.zeros(row.width)))
+        return _then(call, op.Relu(), row)
+    above = mapped(call, row, 1.0, -alpha, row.shape)
+    return _then(call, op.Select(), above, row, constant_row(call, row, np.zeros(row.width)))
 
 
-def read_power(build: Builder, call: Call) -> RowValue:
+def read_power(call: Call) -> RowValue:
     """Read Pow of a value to the second or third."""
     row, power = call.row(), call.constant(1)
     if power is None or power.size != 1 or power.flat[0] not in POWERS:
         raise call.error("raises to another power than 2 or 3, expected one of these")
-    square = _then(build, call, Multiply(), row, row)
-    return square if power.flat[0] == 2 else _then(build, call, Multiply(), square, row)
+    square = _then(call, op.Multiply(), row, row)
+    return square if power.flat[0] == 2 else _then(call, op.Multiply(), square, row)
 
 
-def read_log(build: Builder, call: Call) -> RowValue:
+def read_log(call: Call) -> RowValue:
     """Read Log of a sigmoid: -log(1 + e^-x)."""
     row = call.row()
-    node = build.operation(row)
-    if node is None or node.operation != Sigmoid():
+    node = call.build.operation(row)
+    if node is None or node.operation != op.Sigmoid():
         raise call.error("takes the logarithm of what is no Sigmoid, which is not supported")
-    inner = _scaled(build, call, RowValue(node.inputs[0], row.shape), -1.0)
-    return _scaled(build, call, _then(build, call, Softplus(), inner), -1.0)
+    inner = _scaled(call, RowValue(node.inputs[0], row.shape), -1.0)
+    return _scaled(call, _then(call, op.Softplus(), inner), -1.0)
 
 
-def _hard_sigmoid(build: Builder, call: Call, alpha: float, beta: float) -> RowValue:
+def _hard_sigmoid(call: Call, alpha: float, beta: float) -> RowValue:
     row = call.row()
-    return _then(build, call, Clip(0.0, 1.0), mapped(build, call, row, alpha, beta, row.shape))
+    return _then(call, op.Clip(0.0, 1.0), mapped(call, row, alpha, beta, row.shape))
 
 
-def _then(build: Builder, call: Call, operation: Operation, *rows: RowValue) -> RowValue:
-    return build.append(call, operation, *rows, shape=rows[0].shape)
+def _then(call: Call, operation: op.Operation, *rows: RowValue) -> RowValue:
+    return call.append(operation, *rows, shape=rows[0].shape)
 
 
-def _scaled(build: Builder, call: Call, row: RowValue, factor: float) -> RowValue:
-    return mapped(build, call, row, factor, 0.0, row.shape)
+def _scaled(call: Call, row: RowValue, factor: float) -> RowValue:
+    return mapped(call, row, factor, 0.0, row.shape)
 
 
 def _attribute(call: Call, name: str, default: float) -> float:

@@ -19,20 +19,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.network import Node
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Affine,
-    Concat,
-    Gru,
-    Linear,
-    Lstm,
-    Multiply,
-    Recurrent,
-    Sigmoid,
-    Slice,
-    Tanh,
-)
 from neuroflight.toolchain.reader.recurrent import GATE_OPEN, plain_cell
 
 TERMS_MAX = 16  # of a polynomial; a cell's new state has three
@@ -53,7 +41,7 @@ class NoCellError(Exception):
 class Cell:
     """A cell that stands for the nodes that compute the value `result`."""
 
-    operation: Recurrent
+    operation: op.Recurrent
     takes: tuple[int, ...]  # the values that it takes, side by side
     result: int  # h'
     states: tuple[int, ...]  # numbers of the state inputs that it replaces
@@ -203,7 +191,7 @@ class _Search:
         bias = [sign * update.bias, reset.bias, fresh.bias]
         state_bias = [np.zeros(2 * units), old.bias]
         arrays = _float32(*(np.concatenate(parts) for parts in (weight, kept, bias, state_bias)))
-        return Cell(Gru(*arrays), takes, group.after, (group.state,))
+        return Cell(op.Gru(*arrays), takes, group.after, (group.state,))
 
     def _lstm(
         self, group: _Group, after: Polynomial, left: Mapping[int, _Group]
@@ -230,7 +218,7 @@ class _Search:
         weight = [_joined(total, takes, self.widths) for total in sums]
         kept = [self._kept(total, group) for total in sums]
         arrays = _float32(*(np.concatenate(p) for p in (weight, kept, [total.bias for total in sums])))
-        return Cell(Lstm(*arrays), takes, group.after, (group.state, memory.state)), [group, memory]
+        return Cell(op.Lstm(*arrays), takes, group.after, (group.state, memory.state)), [group, memory]
 
     def _takes(self, sums: Sequence[_Sum]) -> tuple[int, ...]:
         """Return the values that a cell with these sums reads, in ascending order. Raises NoCellError."""
@@ -258,9 +246,9 @@ class _Search:
         while value and value not in self.inputs:
             node = self.nodes[value - 1]
             match node.operation:
-                case Slice(start, _, step):
+                case op.Slice(start, _, step):
                     value, places = node.inputs[0], tuple(start + step * place for place in places)
-                case Concat():
+                case op.Concat():
                     part = self._part(node, places)
                     if part is None:
                         break
@@ -288,17 +276,17 @@ class _Search:
             return {(("row", value, places),): one}
         node = self.nodes[value - 1]
         match node.operation:
-            case Sigmoid():
+            case op.Sigmoid():
                 return {(("gate", value, places),): one}
-            case Tanh():
+            case op.Tanh():
                 return {(("tanh", value, places),): one}
-            case Affine(scale, offset):
+            case op.Affine(scale, offset):
                 inner = self.polynomial(node.inputs[0], places)
                 result = {product: factor * scale[list(places)] for product, factor in inner.items()}
                 return _sum([result, {(): offset[list(places)]}])
-            case Add():
+            case op.Add():
                 return _sum([self.polynomial(taken, places) for taken in node.inputs])
-            case Multiply():
+            case op.Multiply():
                 first, second = (self.polynomial(taken, places) for taken in node.inputs)
                 return _sum([{_product(*p, *q): a * b} for p, a in first.items() for q, b in second.items()])
         return {(("row", value, places),): one}
@@ -333,27 +321,27 @@ class _Search:
             total.given[value] = total.given.get(value, 0.0) + matrix
             return
         match node.operation:
-            case Slice(start, count, step):
+            case op.Slice(start, count, step):
                 wide = np.zeros((len(matrix), self.widths[node.inputs[0]]))
                 wide[:, start + step * np.arange(count)] = matrix
                 self._flow(total, node.inputs[0], wide, through=through)
-            case Concat():
+            case op.Concat():
                 ends = np.cumsum([self.widths[taken] for taken in node.inputs])[:-1]
                 for taken, part in zip(node.inputs, np.split(matrix, ends, axis=1), strict=True):
                     if part.any():
                         self._flow(total, taken, part, through=through)
-            case Affine(scale, offset):
+            case op.Affine(scale, offset):
                 total.bias = total.bias + matrix @ offset
                 self._flow(total, node.inputs[0], matrix * scale, through=through)
-            case Add():
+            case op.Add():
                 for taken in node.inputs:
                     self._flow(total, taken, matrix, through=through)
-            case Linear(weight, bias):
+            case op.Linear(weight, bias):
                 total.bias = total.bias + matrix @ bias.astype(np.float64)
                 self._flow(total, node.inputs[0], matrix @ weight.astype(np.float64), through=True)
             case _ if stateless:
                 total.given[value] = total.given.get(value, 0.0) + matrix
-            case Multiply() if through:
+            case op.Multiply() if through:
                 raise NoCellError(
                     "its state is multiplied before its matrix, as by a GRU that resets before it "
                     "(linear_before_reset 0)"

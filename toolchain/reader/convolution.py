@@ -9,12 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from neuroflight.toolchain.reader.arithmetic import linear
-from neuroflight.toolchain.reader.values import Builder, Call, RowValue
+from neuroflight.toolchain.reader.values import Call, RowValue
 
 PADDED_MAX = 1 << 16  # values with the zeros around them, which also bounds the kernel
 
 
-def read_conv(build: Builder, call: Call) -> RowValue:
+def read_conv(call: Call) -> RowValue:
     """Read a convolution over any number of axes, of a value of shape [1, channels, ...]."""
     row, weight = call.row(0), call.floats(1)
     if weight is None or weight.ndim != len(row.shape) or weight.ndim < 3 or row.shape[0] != 1:
@@ -35,7 +35,7 @@ def read_conv(build: Builder, call: Call) -> RowValue:
     if row.shape[1] * math.prod(n + sum(p) for n, p in zip(row.shape[2:], pads, strict=True)) > PADDED_MAX:
         raise call.error(f"pads its value to more than {PADDED_MAX} values; is it a policy?")
     shape = (1, weight.shape[0], *sizes)
-    build.afford(call, math.prod(shape) * row.width)
+    call.afford(math.prod(shape) * row.width)
     padded = np.pad(row.places[0], [(0, 0), *pads], constant_values=-1)
     outputs = np.arange(math.prod(shape)).reshape(groups, -1, *sizes)
     matrix = np.zeros((math.prod(shape), row.width))
@@ -54,7 +54,7 @@ def read_conv(build: Builder, call: Call) -> RowValue:
     bias = np.zeros(weight.shape[0]) if bias is None else bias
     if bias.shape != weight.shape[:1]:
         raise call.error(f"has a bias of shape {list(bias.shape)}, expected [{weight.shape[0]}]")
-    return linear(build, call, row, matrix, np.repeat(bias, math.prod(sizes)), shape)
+    return linear(call, row, matrix, np.repeat(bias, math.prod(sizes)), shape)
 
 
 def _sizes(call: Call, name: str, count: int) -> list[int]:

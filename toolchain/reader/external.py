@@ -10,7 +10,7 @@ from onnx import TensorProto
 
 from neuroflight.toolchain.contract import POLICY_FILE_BYTES_MAX
 from neuroflight.toolchain.errors import PolicyError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 from neuroflight.toolchain.reader.values import shown
 
 
@@ -50,11 +50,9 @@ def _read(folder: Path, name: str, limit: int) -> bytes:
     try:
         if Path(os.path.realpath(path, strict=True)).parent != folder.resolve():
             raise PolicyError(f"{path} is a link out of the model's folder; put the weights themselves there")
-        if (size := file_size(path)) > limit:
-            raise PolicyError(f"{path} is {size} bytes, expected at most {limit}; is it a policy?")
-        return path.read_bytes()
     except OSError as error:
         raise PolicyError(f"cannot read the weights {path}: {error.strerror}") from error
+    return read_limited(path, f"{path}", limit, PolicyError, "; is it a policy?")
 
 
 def _part(data: bytes, entries: dict[str, str], name: str) -> bytes:

@@ -85,9 +85,9 @@ def read_nodes(model: onnx.ModelProto, build: Builder, inputs: Mapping[str, Valu
     values |= inputs
     folded = 0  # bytes of what nodes compute from constants
     for node in graph.node:
-        call = _call(node, values)
+        call = _call(build, node, values)
         try:
-            results = _read(build, call)
+            results = _read(call)
             if len(results) < len(node.output):
                 raise call.error(f"has {len(node.output)} outputs, expected {len(results)}")
         except PolicyError as error:
@@ -99,14 +99,16 @@ def read_nodes(model: onnx.ModelProto, build: Builder, inputs: Mapping[str, Valu
     return values
 
 
-def _call(node: onnx.NodeProto, values: dict[str, Value]) -> Call:
+def _call(build: Builder, node: onnx.NodeProto, values: dict[str, Value]) -> Call:
     inputs = tuple(values[name] if name else None for name in node.input)
     attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
     name = printable(node.name or next(iter(node.output), ""))
-    return Call(node.op_type, name, label(node), tuple(node.input), inputs, attributes, len(node.output))
+    return Call(
+        build, node.op_type, name, label(node), tuple(node.input), inputs, attributes, len(node.output)
+    )
 
 
-def _read(build: Builder, call: Call) -> tuple[Value, ...]:
+def _read(call: Call) -> tuple[Value, ...]:
     """Read the outputs of one node."""
     if call.operator == "Shape" and isinstance(call.input(0), Unread):
         result: Value | tuple[Value, ...] = fold(call)
@@ -128,10 +130,10 @@ def _read(build: Builder, call: Call) -> tuple[Value, ...]:
         return (_constant(call),)
     if (call.operator == "Shape" and Part not in kinds) or not kinds & {RowValue, Part, Condition}:
         result = fold(call)
-    elif (Part in kinds or call.operator in STARTS) and (part := read_pattern(build, call)) is not None:
+    elif (Part in kinds or call.operator in STARTS) and (part := read_pattern(call)) is not None:
         result = part
     elif call.operator in OPERATORS:
-        result = OPERATORS[call.operator](build, computed(build, call))
+        result = OPERATORS[call.operator](computed(call))
     elif call.operator in KNOWN:
         raise call.error("takes values computed from the observation; it is supported on constants only")
     else:

@@ -9,47 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import TensorProto
 
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Clip,
-    Concat,
-    Elu,
-    Erf,
-    LayerNorm,
-    LeakyRelu,
-    Operation,
-    Relu,
-    RmsNorm,
-    Select,
-    Sigmoid,
-    Softmax,
-    Softplus,
-    Softsign,
-    Tanh,
-)
-from neuroflight.toolchain.reader.activations import (
-    read_celu,
-    read_gelu,
-    read_hard_sigmoid,
-    read_hard_swish,
-    read_log,
-    read_mish,
-    read_power,
-    read_prelu,
-    read_selu,
-    read_swish,
-    read_thresholded,
-)
-from neuroflight.toolchain.reader.arithmetic import (
-    constant_row,
-    mapped,
-    read_arithmetic,
-    read_gemm,
-    read_matmul,
-    read_negative,
-    read_reduction,
-    read_sum,
-)
+from neuroflight.toolchain.ir import operations as op
+from neuroflight.toolchain.reader import activations, arithmetic
 from neuroflight.toolchain.reader.conditions import CONDITIONS, read_mask, read_where
 from neuroflight.toolchain.reader.constants import FOLDED, MOVES, apply
 from neuroflight.toolchain.reader.convolution import read_conv
@@ -57,7 +18,6 @@ from neuroflight.toolchain.reader.patterns import ONLY_INSIDE, STARTS
 from neuroflight.toolchain.reader.recurrent import read_gru, read_lstm, read_rnn
 from neuroflight.toolchain.reader.values import (
     WIDTH_MAX,
-    Builder,
     Call,
     Condition,
     RowValue,
@@ -66,87 +26,87 @@ from neuroflight.toolchain.reader.values import (
     joint_shape,
 )
 
-Reader = Callable[[Builder, Call], Value | tuple[Value, ...]]
+Reader = Callable[[Call], Value | tuple[Value, ...]]
 
 
-def _activation(operation: Operation) -> Reader:
-    def read(build: Builder, call: Call) -> RowValue:
-        return build.append(call, operation, call.row(), shape=call.row().shape)
+def _activation(operation: op.Operation) -> Reader:
+    def read(call: Call) -> RowValue:
+        return call.append(operation, call.row(), shape=call.row().shape)
 
     return read
 
 
-def _parameter(make: Callable[[float], Operation], default: float) -> Reader:
-    def read(build: Builder, call: Call) -> RowValue:
+def _parameter(make: Callable[[float], op.Operation], default: float) -> Reader:
+    def read(call: Call) -> RowValue:
         alpha = call.attributes.get("alpha", default)
         if not math.isfinite(alpha):
             raise call.error(f"has alpha {alpha}, expected a finite number")
-        return build.append(call, make(alpha), call.row(), shape=call.row().shape)
+        return call.append(make(alpha), call.row(), shape=call.row().shape)
 
     return read
 
 
-def _clip(build: Builder, call: Call) -> RowValue:
-    return _clipped(build, call, call.row(), call.scalar(1), call.scalar(2))
+def _clip(call: Call) -> RowValue:
+    return _clipped(call, call.row(), call.scalar(1), call.scalar(2))
 
 
-def _min_or_max(build: Builder, call: Call) -> RowValue:
+def _min_or_max(call: Call) -> RowValue:
     """Read Min and Max: with one number a Clip with one bound, of two values or many numbers a Select."""
     places = [place for place, value in enumerate(call.inputs) if isinstance(value, RowValue)]
     if len(call.inputs) != 2:
         raise call.error(f"takes {len(call.inputs)} values, expected two")
     if len(places) == 2:
         shape = joint_shape(call, call.row(0).shape, call.row(1).shape)
-        first, second = (build.broadcast(call, call.row(place), shape) for place in (0, 1))
-        negative = mapped(build, call, second, -1.0, 0.0, shape)
-        above = build.append(call, Add(), first, negative, shape=shape)
+        first, second = (call.broadcast(call.row(place), shape) for place in (0, 1))
+        negative = arithmetic.mapped(call, second, -1.0, 0.0, shape)
+        above = call.append(op.Add(), first, negative, shape=shape)
         ordered = (first, second) if call.operator == "Max" else (second, first)
-        return build.append(call, Select(), above, *ordered, shape=shape)
+        return call.append(op.Select(), above, *ordered, shape=shape)
     row, constant = call.row(places[0]), call.constant(1 - places[0])
     assert constant is not None
-    row = build.broadcast(call, row, shape := joint_shape(call, row.shape, constant.shape))
+    row = call.broadcast(row, shape := joint_shape(call, row.shape, constant.shape))
     if np.unique(constant).size > 1:
         bounds = call.numbers(1 - places[0])
         assert bounds is not None
-        return _bounded_each(build, call, row, np.broadcast_to(bounds, shape).ravel())
+        return _bounded_each(call, row, np.broadcast_to(bounds, shape).ravel())
     bound = call.scalar(1 - places[0])
     low, high = (None, bound) if call.operator == "Min" else (bound, None)
-    return _clipped(build, call, row, low, high)
+    return _clipped(call, row, low, high)
 
 
-def _bounded_each(build: Builder, call: Call, row: RowValue, bounds: NDArray[np.float64]) -> RowValue:
+def _bounded_each(call: Call, row: RowValue, bounds: NDArray[np.float64]) -> RowValue:
     """Read Min or Max with a bound of its own for each value, such as limits of each motor."""
     bounds = bounds.astype(np.float32).astype(np.float64)
-    held = constant_row(build, call, row, bounds)
-    above = mapped(build, call, row, 1.0, -bounds, row.shape)
+    held = arithmetic.constant_row(call, row, bounds)
+    above = arithmetic.mapped(call, row, 1.0, -bounds, row.shape)
     ordered = (row, held) if call.operator == "Max" else (held, row)
-    return build.append(call, Select(), above, *ordered, shape=row.shape)
+    return call.append(op.Select(), above, *ordered, shape=row.shape)
 
 
-def _clipped(build: Builder, call: Call, row: RowValue, low: float | None, high: float | None) -> RowValue:
+def _clipped(call: Call, row: RowValue, low: float | None, high: float | None) -> RowValue:
     low = None if low == -math.inf else low
     high = None if high == math.inf else high
     given = [bound for bound in (low, high) if bound is not None]
     if not all(map(math.isfinite, given)) or given != sorted(given):
         raise call.error(f"has the bounds {low} and {high}, expected finite ones, the lower one first")
-    return build.append(call, Clip(low, high), row, shape=row.shape)
+    return call.append(op.Clip(low, high), row, shape=row.shape)
 
 
-def _softmax(build: Builder, call: Call) -> RowValue:
+def _softmax(call: Call) -> RowValue:
     """Read Softmax over all values, or over each group along an axis."""
     row, axis = call.row(), call.attributes.get("axis", -1)
     if not -len(row.shape) <= axis < len(row.shape):
         raise call.error(f"shares out axis {axis} of a value of shape {list(row.shape)}")
     if row.shape[axis] == row.width:
-        return build.append(call, Softmax(), row, shape=row.shape)
+        return call.append(op.Softmax(), row, shape=row.shape)
     groups = np.moveaxis(row.places, axis, -1).reshape(-1, row.shape[axis])
-    parts = [build.arranged(call, row, group) for group in groups]
-    shares = [build.append(call, Softmax(), part, shape=part.shape) for part in parts]
-    joined = build.append(call, Concat(), *shares, shape=(row.width,))
-    return build.arranged(call, joined, np.argsort(groups.ravel()).reshape(row.shape))
+    parts = [call.arranged(row, group) for group in groups]
+    shares = [call.append(op.Softmax(), part, shape=part.shape) for part in parts]
+    joined = call.append(op.Concat(), *shares, shape=(row.width,))
+    return call.arranged(joined, np.argsort(groups.ravel()).reshape(row.shape))
 
 
-def _norm(build: Builder, call: Call) -> tuple[Value, ...]:
+def _norm(call: Call) -> tuple[Value, ...]:
     """Read LayerNormalization, and RMSNormalization, which has no offset."""
     row, axis = call.row(), call.attributes.get("axis", -1)
     axis = axis + len(row.shape) if axis < 0 else axis
@@ -164,12 +124,12 @@ def _norm(build: Builder, call: Call) -> tuple[Value, ...]:
                 f"has a constant of shape {list(values.shape)}, expected {list(row.shape[axis:])}"
             )
         rows.append(np.broadcast_to(values, row.shape).ravel().copy())
-    kind = LayerNorm if call.operator == "LayerNormalization" else RmsNorm
-    norm = build.append(call, kind(epsilon, rows[0], rows[1]), row, shape=row.shape)
+    kind = op.LayerNorm if call.operator == "LayerNormalization" else op.RmsNorm
+    norm = call.append(kind(epsilon, rows[0], rows[1]), row, shape=row.shape)
     return norm, *(Unread(f"an inner value of {call.label}") for _ in range(call.outputs - 1))
 
 
-def _batch_norm(build: Builder, call: Call) -> RowValue:
+def _batch_norm(call: Call) -> RowValue:
     """Read BatchNormalization in inference: an affine map of each value."""
     row = call.row()
     if call.attributes.get("training_mode", 0) or call.outputs > 1:
@@ -184,27 +144,27 @@ def _batch_norm(build: Builder, call: Call) -> RowValue:
     if not (spread > 0).all():
         raise call.error("has a variance that is not above 0")
     factor = scale / np.sqrt(spread)
-    return mapped(build, call, row, factor, offset - mean * factor, row.shape)
+    return arithmetic.mapped(call, row, factor, offset - mean * factor, row.shape)
 
 
-def _dropout(build: Builder, call: Call) -> tuple[Value, ...]:
+def _dropout(call: Call) -> tuple[Value, ...]:
     training = call.constant(2)
     if training is not None and training.any():
         raise call.error("is in training mode, expected inference; export after model.eval()")
     return call.row(), Unread(f"the mask of {call.label}")
 
 
-def _cast(build: Builder, call: Call) -> RowValue:
+def _cast(call: Call) -> RowValue:
     kind = call.attributes.get("to", 0)
     if kind not in (TensorProto.FLOAT, TensorProto.DOUBLE):  # the policy computes in float32 all the same
         known = kind in TensorProto.DataType.values()
         name = TensorProto.DataType.Name(kind).lower() if known else str(kind)
         raise call.error(f"converts to {name}, expected float32; export in float32")
     value = call.input(0)
-    return read_mask(build, call, value) if isinstance(value, Condition) else call.row()
+    return read_mask(call, value) if isinstance(value, Condition) else call.row()
 
 
-def _concat(build: Builder, call: Call) -> RowValue:
+def _concat(call: Call) -> RowValue:
     """Read Concat along any axis."""
     rows = [call.row(place) for place in range(len(call.inputs))]
     starts = np.cumsum([0, *(row.width for row in rows)])
@@ -212,63 +172,63 @@ def _concat(build: Builder, call: Call) -> RowValue:
         raise call.error(f"joins {starts[-1]} values, expected at most {WIDTH_MAX}")
     parts = [row.places + start for row, start in zip(rows, starts, strict=False)]
     places = apply(call, FOLDED["Concat"], parts)
-    joined = build.append(call, Concat(), *rows, shape=(int(starts[-1]),)) if len(rows) > 1 else rows[0]
+    joined = call.append(op.Concat(), *rows, shape=(int(starts[-1]),)) if len(rows) > 1 else rows[0]
     assert not isinstance(places, tuple)
-    return build.arranged(call, joined, places)
+    return call.arranged(joined, places)
 
 
-def _move(build: Builder, call: Call) -> Value | tuple[Value, ...]:
+def _move(call: Call) -> Value | tuple[Value, ...]:
     """Read a node that only moves values: a renamed row if they stay in order, otherwise slices."""
     row = call.row()
     constants = [call.constant(place) for place in range(1, len(call.inputs))]
     moved = apply(call, MOVES[call.operator], [row.places, *constants])
     if isinstance(moved, tuple):
-        return tuple(build.arranged(call, row, places) for places in moved)
-    return build.arranged(call, row, moved)
+        return tuple(call.arranged(row, places) for places in moved)
+    return call.arranged(row, moved)
 
 
 OPERATORS: dict[str, Reader] = {
     **dict.fromkeys(MOVES, _move),
-    **dict.fromkeys(("Add", "Sub", "Mul", "Div"), read_arithmetic),
+    **dict.fromkeys(("Add", "Sub", "Mul", "Div"), arithmetic.read_arithmetic),
     **dict.fromkeys(("Min", "Max"), _min_or_max),
-    **dict.fromkeys(("Sum", "Mean"), read_sum),
+    **dict.fromkeys(("Sum", "Mean"), arithmetic.read_sum),
     **CONDITIONS,
     "BatchNormalization": _batch_norm,
     "Cast": _cast,
-    "Celu": read_celu,
+    "Celu": activations.read_celu,
     "Clip": _clip,
     "Concat": _concat,
     "Conv": read_conv,
     "Dropout": _dropout,
-    "Elu": _parameter(Elu, 1.0),
-    "Erf": _activation(Erf()),
+    "Elu": _parameter(op.Elu, 1.0),
+    "Erf": _activation(op.Erf()),
     "GRU": read_gru,
-    "Gelu": read_gelu,
-    "Gemm": read_gemm,
-    "HardSigmoid": read_hard_sigmoid,
-    "HardSwish": read_hard_swish,
+    "Gelu": activations.read_gelu,
+    "Gemm": arithmetic.read_gemm,
+    "HardSigmoid": activations.read_hard_sigmoid,
+    "HardSwish": activations.read_hard_swish,
     "LSTM": read_lstm,
     "LayerNormalization": _norm,
-    "LeakyRelu": _parameter(LeakyRelu, 0.01),
-    "Log": read_log,
-    "MatMul": read_matmul,
-    "Mish": read_mish,
-    "Neg": read_negative,
-    "PRelu": read_prelu,
-    "Pow": read_power,
+    "LeakyRelu": _parameter(op.LeakyRelu, 0.01),
+    "Log": activations.read_log,
+    "MatMul": arithmetic.read_matmul,
+    "Mish": activations.read_mish,
+    "Neg": arithmetic.read_negative,
+    "PRelu": activations.read_prelu,
+    "Pow": activations.read_power,
     "RMSNormalization": _norm,
-    "ReduceMean": read_reduction,
-    "ReduceSum": read_reduction,
+    "ReduceMean": arithmetic.read_reduction,
+    "ReduceSum": arithmetic.read_reduction,
     "RNN": read_rnn,
-    "Relu": _activation(Relu()),
-    "Selu": read_selu,
-    "Sigmoid": _activation(Sigmoid()),
+    "Relu": _activation(op.Relu()),
+    "Selu": activations.read_selu,
+    "Sigmoid": _activation(op.Sigmoid()),
     "Softmax": _softmax,
-    "Softplus": _activation(Softplus()),
-    "Softsign": _activation(Softsign()),
-    "Swish": read_swish,
-    "Tanh": _activation(Tanh()),
-    "ThresholdedRelu": read_thresholded,
+    "Softplus": _activation(op.Softplus()),
+    "Softsign": _activation(op.Softsign()),
+    "Swish": activations.read_swish,
+    "Tanh": _activation(op.Tanh()),
+    "ThresholdedRelu": activations.read_thresholded,
     "Where": read_where,
 }
 COMPUTING = sorted(OPERATORS.keys() - MOVES.keys())

@@ -25,7 +25,7 @@ from neuroflight.toolchain.ir.operations import (
     Slice,
     Tanh,
 )
-from neuroflight.toolchain.reader.values import Builder, Call, RowValue, Unread, Value, shown
+from neuroflight.toolchain.reader.values import Call, RowValue, Unread, Value, shown
 
 SEQUENCE_LENGTHS, INITIAL_H, INITIAL_C, PEEPHOLES = 4, 5, 6, 7  # places of inputs
 STATES = {INITIAL_H: "h", INITIAL_C: "c"}
@@ -39,7 +39,7 @@ DEFAULTS = {  # attribute: the one value that is accepted
 ACTIVATIONS = {"RNN": [b"Tanh"], "GRU": [b"Sigmoid", b"Tanh"], "LSTM": [b"Sigmoid", b"Tanh", b"Tanh"]}
 
 
-def read_gru(build: Builder, call: Call) -> tuple[Value, ...]:
+def read_gru(call: Call) -> tuple[Value, ...]:
     """Read GRU: Y and Y_h."""
     if call.attributes.get("linear_before_reset", 0) != 1:
         raise call.error(
@@ -51,9 +51,9 @@ def read_gru(build: Builder, call: Call) -> tuple[Value, ...]:
     before = _initial(call, units, INITIAL_H)
     input_bias, state_bias = bias[: 3 * units], bias[3 * units :]
     if before is None:
-        result = build.append(call, Gru(weight, state_weight, input_bias, state_bias), row, shape=(units,))
+        result = call.append(Gru(weight, state_weight, input_bias, state_bias), row, shape=(units,))
     else:
-        write = _Writer(build, call, units)
+        write = _Writer(call, units)
         given = write.gates(Linear(weight, input_bias), row)
         kept = write.gates(Linear(state_weight, state_bias), before[0])
         update, reset = (write(Sigmoid(), write(Add(), given[k], kept[k])) for k in (0, 1))
@@ -62,7 +62,7 @@ def read_gru(build: Builder, call: Call) -> tuple[Value, ...]:
     return _outputs(result)
 
 
-def read_lstm(build: Builder, call: Call) -> tuple[Value, ...]:
+def read_lstm(call: Call) -> tuple[Value, ...]:
     """Read LSTM: Y, Y_h and the cell state, which no operation may read where the policy carries it."""
     if call.input(PEEPHOLES) is not None:
         raise call.error("has peepholes, expected none")
@@ -71,9 +71,9 @@ def read_lstm(build: Builder, call: Call) -> tuple[Value, ...]:
     before = _initial(call, units, INITIAL_H, INITIAL_C)
     joint = (bias[: 4 * units].astype(np.float64) + bias[4 * units :]).astype(np.float32)
     if before is None:
-        result = build.append(call, Lstm(weight, state_weight, joint), row, shape=(units,))
+        result = call.append(Lstm(weight, state_weight, joint), row, shape=(units,))
         return *_outputs(result), Unread(f"the cell state of {call.label}")
-    write = _Writer(build, call, units)
+    write = _Writer(call, units)
     given = write.gates(Linear(weight, joint), row)
     kept = write.gates(Linear(state_weight, np.zeros(4 * units, np.float32)), before[0])
     sums = [write(Add(), one, other) for one, other in zip(given, kept, strict=True)]
@@ -84,20 +84,18 @@ def read_lstm(build: Builder, call: Call) -> tuple[Value, ...]:
     return *_outputs(write(Multiply(), leave, write(Tanh(), inside))), RowValue(inside.number, (1, 1, units))
 
 
-def read_rnn(build: Builder, call: Call) -> tuple[Value, ...]:
+def read_rnn(call: Call) -> tuple[Value, ...]:
     """Read RNN: Y and Y_h of h' = tanh(W x + b + R h + c)."""
     row, weight, state_weight, bias = _parts(call, 1)
     units = state_weight.shape[1]
     before = _initial(call, units, INITIAL_H)
     if before is None:
         return _outputs(
-            build.append(
-                call, plain_cell(weight, state_weight, bias[:units], bias[units:]), row, shape=(units,)
-            )
+            call.append(plain_cell(weight, state_weight, bias[:units], bias[units:]), row, shape=(units,))
         )
-    write = _Writer(build, call, units)
-    given = build.append(call, Linear(weight, bias[:units]), row, shape=(units,))
-    kept = build.append(call, Linear(state_weight, bias[units:]), before[0], shape=(units,))
+    write = _Writer(call, units)
+    given = call.append(Linear(weight, bias[:units]), row, shape=(units,))
+    kept = call.append(Linear(state_weight, bias[units:]), before[0], shape=(units,))
     return _outputs(write(Tanh(), write(Add(), given, kept)))
 
 
@@ -126,17 +124,16 @@ def _outputs(result: RowValue) -> tuple[RowValue, RowValue]:
 class _Writer:
     """A writer of the operations of one cell, all of its width."""
 
-    build: Builder
     call: Call
     units: int
 
     def __call__(self, operation: Operation, *rows: RowValue) -> RowValue:
-        return self.build.append(self.call, operation, *rows, shape=(self.units,))
+        return self.call.append(operation, *rows, shape=(self.units,))
 
     def gates(self, layer: Linear, row: RowValue) -> list[RowValue]:
         """Return the sum of each gate; `layer` computes them one after the other."""
         count = layer.outputs // self.units
-        joint = self.build.append(self.call, layer, row, shape=(layer.outputs,))
+        joint = self.call.append(layer, row, shape=(layer.outputs,))
         return [self(Slice(gate * self.units, self.units), joint) for gate in range(count)]
 
     def negative(self, row: RowValue) -> RowValue:

@@ -81,10 +81,32 @@ class Unread:
 Value = Array | RowValue | Part | Condition | Unread
 
 
+@dataclass
+class Builder:
+    """The network under construction."""
+
+    inputs: int
+    nodes: list[Node] = field(default_factory=list)
+    widths: list[int] = field(default_factory=list)
+    multiply_adds: int = 0
+    multiply_adds_max: int = MULTIPLY_ADDS_MAX
+    absorbed: set[int] = field(default_factory=set)  # values that an operation read later contains
+    computed: dict[Part, RowValue] = field(default_factory=dict)  # parts that are used outside a pattern
+
+    def __post_init__(self) -> None:
+        """Begin with value 0, the observation."""
+        self.widths.append(self.inputs)
+
+    def operation(self, row: RowValue) -> Node | None:
+        """Return the node that computes `row`, None for the observation."""
+        return self.nodes[row.number - 1] if row.number else None
+
+
 @dataclass(frozen=True, eq=False)
 class Call:
-    """One ONNX node and what it takes; an input that is left out is None."""
+    """One ONNX node, what it takes (None: an input that is left out), and the network that it adds to."""
 
+    build: Builder
     operator: str
     name: str
     label: str  # for messages: name and operator
@@ -152,73 +174,51 @@ class Call:
         """Return a refusal that names the node."""
         return PolicyError(f"{self.label} {message}")
 
-
-@dataclass
-class Builder:
-    """The network under construction."""
-
-    inputs: int
-    nodes: list[Node] = field(default_factory=list)
-    widths: list[int] = field(default_factory=list)
-    multiply_adds: int = 0
-    multiply_adds_max: int = MULTIPLY_ADDS_MAX
-    absorbed: set[int] = field(default_factory=set)  # values that an operation read later contains
-    computed: dict[Part, RowValue] = field(
-        default_factory=dict
-    )  # parts whose values are used outside a pattern
-
-    def __post_init__(self) -> None:
-        """Begin with value 0, the observation."""
-        self.widths.append(self.inputs)
-
-    def append(self, call: Call, operation: Operation, *rows: RowValue, shape: tuple[int, ...]) -> RowValue:
-        """Append `operation` on `rows`, computed by `call`; return its result of `shape`."""
-        self.afford(call, multiply_adds(operation))
-        self.multiply_adds += multiply_adds(operation)
-        if len(self.nodes) >= NODES_MAX:
-            raise call.error(f"is one too many: a policy may have {NODES_MAX} operations")
-        width = output_width(operation, [self.widths[row.number] for row in rows])
+    def append(self, operation: Operation, *rows: RowValue, shape: tuple[int, ...]) -> RowValue:
+        """Append `operation` on `rows`, which the node computes; return its result of `shape`."""
+        self.afford(multiply_adds(operation))
+        self.build.multiply_adds += multiply_adds(operation)
+        if len(self.build.nodes) >= NODES_MAX:
+            raise self.error(f"is one too many: a policy may have {NODES_MAX} operations")
+        width = output_width(operation, [self.build.widths[row.number] for row in rows])
         if width != math.prod(shape) or width > WIDTH_MAX:
-            raise call.error(f"gives {width} values of shape {list(shape)}, expected at most {WIDTH_MAX}")
-        self.nodes.append(Node(operation, tuple(row.number for row in rows), call.name))
-        self.widths.append(width)
-        return RowValue(len(self.nodes), shape)
+            raise self.error(f"gives {width} values of shape {list(shape)}, expected at most {WIDTH_MAX}")
+        self.build.nodes.append(Node(operation, tuple(row.number for row in rows), self.name))
+        self.build.widths.append(width)
+        return RowValue(len(self.build.nodes), shape)
 
-    def afford(self, call: Call, more: int) -> None:
+    def afford(self, more: int) -> None:
         """Raise PolicyError where `more` multiply-adds are too many."""
-        if self.multiply_adds + more > self.multiply_adds_max:
-            raise call.error(
-                f"brings the policy to {self.multiply_adds + more} multiply-adds, expected at most "
-                f"{self.multiply_adds_max}: what the processor does in a millisecond; train a smaller network"
+        total, most = self.build.multiply_adds + more, self.build.multiply_adds_max
+        if total > most:
+            raise self.error(
+                f"brings the policy to {total} multiply-adds, expected at most {most}: what the processor "
+                "does in a millisecond; train a smaller network"
             )
 
-    def operation(self, row: RowValue) -> Node | None:
-        """Return the node that computes `row`, None for the observation."""
-        return self.nodes[row.number - 1] if row.number else None
-
-    def arranged(self, call: Call, row: RowValue, places: NDArray[np.int64]) -> RowValue:
+    def arranged(self, row: RowValue, places: NDArray[np.int64]) -> RowValue:
         """Return the value whose item i is item places[i] of `row`, by slices unless nothing moves."""
         shape, flat = places.shape, places.ravel()
         if flat.size == 0 or flat.size > WIDTH_MAX:
-            raise call.error(f"gives {flat.size} values, expected 1 to {WIDTH_MAX}")
+            raise self.error(f"gives {flat.size} values, expected 1 to {WIDTH_MAX}")
         if np.array_equal(flat, np.arange(row.width)):
             return RowValue(row.number, shape)
         slices = _slices(flat)
         if len(slices) > PIECES_MAX:
-            raise call.error(
+            raise self.error(
                 f"cuts its value into {len(slices)} pieces, expected at most {PIECES_MAX}; "
                 "sort the weights before or after it instead"
             )
-        pieces = [self.append(call, piece, row, shape=(piece.count,)) for piece in slices]
+        pieces = [self.append(piece, row, shape=(piece.count,)) for piece in slices]
         if len(pieces) == 1:
             return RowValue(pieces[0].number, shape)
-        return self.append(call, Concat(), *pieces, shape=shape)
+        return self.append(Concat(), *pieces, shape=shape)
 
-    def broadcast(self, call: Call, row: RowValue, shape: tuple[int, ...]) -> RowValue:
+    def broadcast(self, row: RowValue, shape: tuple[int, ...]) -> RowValue:
         """Repeat `row` along the axes where `shape` is larger, as ONNX's arithmetic does."""
         if math.prod(shape) > WIDTH_MAX:
-            raise call.error(f"gives values of shape {list(shape)}, expected at most {WIDTH_MAX}")
-        return self.arranged(call, row, np.broadcast_to(row.places, shape))
+            raise self.error(f"gives values of shape {list(shape)}, expected at most {WIDTH_MAX}")
+        return self.arranged(row, np.broadcast_to(row.places, shape))
 
 
 def joint_shape(call: Call, *shapes: tuple[int, ...]) -> tuple[int, ...]:

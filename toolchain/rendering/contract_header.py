@@ -36,14 +36,6 @@ TABLES = (
 
 
 @dataclass(frozen=True)
-class Define:
-    """One `#define name value`."""
-
-    name: str
-    value: str
-
-
-@dataclass(frozen=True)
 class Member:
     """One enumerator; `meaning` is its comment, empty for none."""
 
@@ -93,10 +85,9 @@ def _struct_fields(source: tuple[contract.HeaderField, ...]) -> tuple[BlobField,
 
 def render_contract() -> str:
     """Render the text of nf_contract.h. Deterministic: the contract in its own order."""
-    groups = [list(_defines(f"NF_{name}", value)) for name, value in _constants()]
     return render(
         "nf_contract.h.j2",
-        defines=[define for group in groups for define in group],
+        defines=[define for name, value in _constants() for define in _defines(f"NF_{name}", value)],
         enums=_enumerations(),
         blocks=[
             {"name": block.name, "code": block.code, "width": int(block.width)}
@@ -178,24 +169,25 @@ def _constants() -> Iterator[tuple[str, object]]:
             yield name, value
 
 
-def _defines(name: str, value: object) -> Iterator[Define]:
+def _defines(name: str, value: object) -> Iterator[tuple[str, str]]:
+    """Yield name and value of each `#define`."""
     match value:
         case contract.Region():
-            yield Define(f"{name}_ADDRESS", f"0x{value.address:08X}u")
-            yield Define(f"{name}_SIZE", f"0x{value.size:X}u")
+            yield (f"{name}_ADDRESS", f"0x{value.address:08X}u")
+            yield (f"{name}_SIZE", f"0x{value.size:X}u")
         case tuple() if all(isinstance(item, contract.Region) for item in value):
-            yield Define(f"{name}_COUNT", str(len(value)))
+            yield (f"{name}_COUNT", str(len(value)))
             rows = ", ".join(f"{{ 0x{item.address:08X}u, 0x{item.size:X}u }}" for item in value)
-            yield Define(name, f"{{ {rows} }}")
+            yield (name, f"{{ {rows} }}")
             for index, item in enumerate(value):
                 yield from _defines(f"{name}_{index}", item)
         case tuple():
-            yield Define(f"{name}_COUNT", str(len(value)))
-            yield Define(name, "{ " + ", ".join(_literal(item) for item in value) + " }")
+            yield (f"{name}_COUNT", str(len(value)))
+            yield (name, "{ " + ", ".join(_literal(item) for item in value) + " }")
         case str() if name.endswith("_FORMAT"):
-            yield Define(name.removesuffix("FORMAT") + "BYTES", str(struct.calcsize(value)))
+            yield (name.removesuffix("FORMAT") + "BYTES", str(struct.calcsize(value)))
         case _:
-            yield Define(name, _literal(value))
+            yield (name, _literal(value))
 
 
 def _literal(value: object) -> str:

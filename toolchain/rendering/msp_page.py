@@ -1,112 +1,37 @@
-"""Renders the contract's messages as docs/reference/msp.md, which `python -m tests.reference` writes.
+"""The tables of docs/reference/msp.md, which `python -m tests.reference` writes into the page.
 
-The prose stands in templates/msp_page.md.j2; the commands of the command line are read from the firmware's
-table.
+Messages and numbers come from the contract, the commands of the command line from the firmware's table.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from neuroflight.toolchain.contract import (
-    ARMING_FLAG_FAILSAFE,
-    ARMING_FLAG_SWITCH,
-    ARMING_FLAGS,
-    LAYOUTS,
-    MOTOR_TEST_MAX,
-    MOTOR_TEST_SUM_MAX,
-    MOTOR_TEST_TIMEOUT_MS,
-    MSP_API_MAJOR,
-    MSP_API_MINOR,
-    MSP_PORT_COUNT,
-    MSP_STREAM_RATE_MAX_HZ,
-    ArmingReason,
-    Bound,
-    Direction,
-    FallbackCause,
-    FirmwareError,
-    FlightState,
-    GyroHealth,
-    LogDevice,
-    LogError,
-    LogState,
-    Msp,
-    MspField,
-    MspGroup,
-    MspHow,
-    Refusal,
-    StopCause,
-    Task,
-)
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import Bound, Direction, Msp, MspField, MspGroup, MspHow
 from neuroflight.toolchain.contract.msp_messages import access_of
 from neuroflight.toolchain.contract.msp_table import Access, MspWhen
-from neuroflight.toolchain.rendering.jinja import render
 
-PROSE = "msp_page.md.j2"
 COMMANDS = Path(__file__).resolve().parents[2] / "firmware" / "src" / "command_line" / "commands.c"
 COMMAND = re.compile(r'\{ "(\w+)", "([^"]*)",\s*"([^"]*)"')
-EXAMPLES = (
-    ("board info", "who it is, which policy it flies, what forbids arming"),
-    ("board status", "state, what forbids arming and how to lift it, battery, receiver"),
-    ("board tasks", "the processor's time"),
-    ("board settings get roll_expo", "a setting with its limits; all without a name"),
-    ('board settings set roll_expo=0.1 mode1="arm aux1 1700 2100" --save --reboot', ""),
-    ("board settings diff > mine.txt", "what differs from the defaults"),
-    ("board settings dump > all.txt", "all settings"),
-    (
-        "board settings restore mine.txt",
-        "that, defaults beside it, checked and stored; --keep leaves the rest",
-    ),
-    (
-        "board settings import betaflight.txt",
-        "what of Betaflight's `diff all` has a counterpart: shown, asked for, stored",
-    ),
-    ("board settings save", "stores what `set` without --save has changed"),
-    ("board settings defaults --save", "every setting to its default; asks, unless --yes is given"),
-    ("board stream --rate 500 --seconds 10 --out flight.npz", "or .csv; a table without --out"),
-    ("board calibrate", "the gyro's bias anew; the aircraft lies still"),
-    ("board faults --ack", "the last fault, and that you know of it"),
-    ("board acknowledge", "all faults, and a policy that was refused in flight"),
-    ("board reboot", "starts it anew, waits until it answers"),
-    ("board reboot --rom", "starts the boot loader in the chip's ROM instead, for `board rescue`"),
-)
-PROGRAM = "neuroflight "
-COLUMN = 58  # where an example's comment begins, if it fits
-REFUSALS = {
-    Refusal.NONE: "of no refusal",
-    Refusal.ARMED: "the motors are armed or under test; or, for what needs the state disarmed, it is another",
-    Refusal.PAYLOAD: "a length or a value that the message does not take",
-    Refusal.INDEX: "there is none of that number",
-    Refusal.RANGE: "beyond a setting's limits",
-    Refusal.CONFLICT: "it does not fit the policy or the settings beside it",
-    Refusal.FLASH: "flash did not take it; what was stored before still holds",
-    Refusal.ORDER: "something has to come before it: opening, beginning, reading",
-    Refusal.BLOB: "the policy is none for this image",
-    Refusal.SEQUENCE: "the policy is not newer than the one that stays",
-    Refusal.ABSENT: "this build, or its settings, have no such thing",
-    Refusal.SPOILT: "stored, but not all: some of a change before it was refused",
-    Refusal.IMAGE: "the image is none for the board's other bank, or not whole, or not the one that was told",
-    Refusal.LOG: "the device that keeps the logs failed",
-}
 SHORT = {
     MspWhen.ALWAYS: "always",
     MspWhen.STOPPED: "disarmed",
     MspWhen.STORING: "stores",
     MspWhen.NEVER: "",
 }
-
-
 NUMBERED = {
-    "state": FlightState,
-    "stop cause": StopCause,
-    "fallback cause": FallbackCause,
-    "gyro health": GyroHealth,
-    "task": Task,
-    "device of the log": LogDevice,
-    "state of the log": LogState,
-    "error of the log": LogError,
-    "error of a policy or an image": FirmwareError,
+    "state": contract.FlightState,
+    "stop cause": contract.StopCause,
+    "fallback cause": contract.FallbackCause,
+    "gyro health": contract.GyroHealth,
+    "task": contract.Task,
+    "device of the log": contract.LogDevice,
+    "state of the log": contract.LogState,
+    "error of the log": contract.LogError,
+    "error of a policy or an image": contract.FirmwareError,
 }
 
 
@@ -115,94 +40,72 @@ def commands() -> list[tuple[str, str, str]]:
     return COMMAND.findall(COMMANDS.read_text())
 
 
-def msp_page() -> str:
-    """Render the page; messages by number, a row for each direction."""
-    parts = {
-        "api": f"{MSP_API_MAJOR}.{MSP_API_MINOR}",
-        "ports": "Two" if MSP_PORT_COUNT == 2 else str(MSP_PORT_COUNT),
-        "examples": "\n".join(_example(words, meaning) for words, meaning in EXAMPLES),
-        "test_max": f"{MOTOR_TEST_MAX * 100:g}",
-        "test_sum": f"{MOTOR_TEST_SUM_MAX * 100:g}",
-        "test_timeout": str(MOTOR_TEST_TIMEOUT_MS),
-        "stream_max": str(MSP_STREAM_RATE_MAX_HZ),
-        "commands": "".join(_command(*command) for command in commands()),
-        "refusals": "".join(
-            f"| `{reason.name.lower()}` | {reason:d} | {REFUSALS[reason]} |\n" for reason in Refusal
-        ),
-        "numbered": "".join(
-            f"| {name} | {', '.join(f'{number:d} {number.name}' for number in numbers)} |\n"
-            for name, numbers in NUMBERED.items()
-        ),
-        "reasons": "".join(f"| {r:d} | {r.name} | {ARMING_FLAGS[r]} |\n" for r in ArmingReason),
-        "flag_failsafe": str(ARMING_FLAG_FAILSAFE),
-        "flag_switch": str(ARMING_FLAG_SWITCH),
-        "messages": "".join(_messages()),
+def msp_tables() -> dict[str, str]:
+    """Render the page's tables, by their names there; messages by number, a row for each direction."""
+    typed = (
+        (f"{name} {arguments}".strip().replace("|", "\\|"), meaning)
+        for name, arguments, meaning in commands()
+    )
+    numbered = (
+        (name, ", ".join(f"{number:d} {number.name}" for number in numbers))
+        for name, numbers in NUMBERED.items()
+    )
+    reasons = (
+        (f"{reason:d}", reason.name, str(contract.ARMING_FLAGS[reason])) for reason in contract.ArmingReason
+    )
+    heads = ("number", "message", "direction", "payload", "when", "refused as")
+    return {
+        "commands": table(("command", "what it does"), ((f"`{words}`", meaning) for words, meaning in typed)),
+        "numbers": table(("what", "numbers"), numbered),
+        "reasons": table(("SAFETY", "reason", "STATUS"), reasons),
+        "messages": table(heads, _messages()),
     }
-    return render(PROSE, **parts).rstrip("\n") + "\n"
 
 
-def _example(words: str, meaning: str) -> str:
-    line = PROGRAM + words
-    if not meaning:
-        return line
-    return f"{line:{COLUMN}} # {meaning}" if len(line) < COLUMN else f"{line}  # {meaning}"
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
+    lines = [f"| {' | '.join(row)} |" for row in (heads, *rows)]
+    return "\n".join([lines[0], f"|{'---|' * len(heads)}", *lines[1:]])
 
 
-def _command(name: str, arguments: str, meaning: str) -> str:
-    words = f"{name} {arguments}".strip().replace("|", "\\|")
-    return f"| `{words}` | {meaning} |\n"
-
-
-def _messages() -> list[str]:
-    """Return the rows, requests before replies."""
-    keys = {(layout.message, layout.direction): layout for layout in LAYOUTS}
-    rows = []
+def _messages() -> Iterator[tuple[str, ...]]:
+    """Yield the rows, requests before replies."""
+    keys = {(layout.message, layout.direction): layout for layout in contract.LAYOUTS}
     for message in sorted(Msp):
         for direction in Direction:
-            layout = keys.get((message, direction))
-            if layout is None:
+            if (layout := keys.get((message, direction))) is None:
                 continue
+            payload = ", ".join(map(_field, layout.fields)) or "empty"
             asks = direction is Direction.REQUEST or (message, Direction.REQUEST) not in keys
             access = access_of(message) if asks else None
-            rows.append(_row(message, direction, _payload(layout.fields), access))
             if message.row.acknowledges and direction is Direction.REQUEST:
-                rows[-1] = _row(message, direction, "empty: reads", access)
-                rows.append(_row(message, direction, _payload(layout.fields), message.row.acknowledges))
-    return rows
+                yield _row(message, direction, "empty: reads", access)
+                access = message.row.acknowledges
+            yield _row(message, direction, payload, access)
 
 
-def _row(message: Msp, direction: Direction, payload: str, access: Access | None) -> str:
-    when = SHORT[access.when] if access else ""
-    reasons = ", ".join(f"`{reason.name.lower()}`" for reason in access.refusals) if access else ""
-    note = f"{reasons}: {access.note}" if access and access.note and reasons else reasons
-    if access and access.note and not reasons:
-        note = access.note
-    return f"| {message:d} | {message.name} | {direction.value} | {payload} | {when} | {note} |\n"
-
-
-def _payload(fields: tuple[MspField | MspGroup, ...]) -> str:
-    return ", ".join(_field(field) for field in fields) or "empty"
+def _row(message: Msp, direction: Direction, payload: str, access: Access | None) -> tuple[str, ...]:
+    when, note = "", ""
+    if access is not None:
+        when = SHORT[access.when]
+        reasons = ", ".join(f"`{reason.name.lower()}`" for reason in access.refusals)
+        note = ": ".join(filter(None, (reasons, access.note)))
+    return f"{message:d}", message.name, direction.value, payload, when, note
 
 
 def _field(field: MspField | MspGroup) -> str:
     if isinstance(field, MspGroup):
         inner = ", ".join(_field(part) for part in field.fields)
-        times = (
-            "u8 count, then each"
-            if field.counted
-            else f"{field.count} times"
-            if field.count
-            else "up to the end"
-        )
+        repeated = f"{field.count} times" if field.count else "up to the end"
+        times = "u8 count, then each" if field.counted else repeated
         meaning = f"; {field.meaning}" if field.meaning else ""
         return f"{field.name} ({times}: {inner}{meaning})"
     count = f"[{field.count}]" if field.count > 1 else ""
     unit = f" [{field.unit}]" if field.unit else ""
     words = "; ".join(word for word in (field.meaning, _bound(field.bound)) if word)
     meaning = f" ({words})" if words else ""
-    fixed = ""
-    if field.bound is not None and field.bound.how is MspHow.CONSTANT:
-        fixed = f" = {field.bound.number}"
+    constant = field.bound is not None and field.bound.how is MspHow.CONSTANT
+    fixed = f" = {field.bound.number}" if field.bound is not None and constant else ""
     return f"{field.name}:{field.kind}{count}{unit}{fixed}{meaning}".replace("|", "or")
 
 

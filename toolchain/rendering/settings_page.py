@@ -1,22 +1,17 @@
-"""Renders SETTINGS as docs/reference/settings.md, which `python -m tests.reference` writes.
-
-The prose stands in templates/settings_page.md.j2.
-"""
+"""The table of docs/reference/settings.md, which `python -m tests.reference` writes into the page."""
 
 from __future__ import annotations
 
 from neuroflight.toolchain.contract import SETTINGS, ModeRange, Setting
-from neuroflight.toolchain.rendering.jinja import render
-
-PROSE = "settings_page.md.j2"
+from neuroflight.toolchain.rendering.msp_page import table
 
 
-def settings_page() -> str:
-    """Render the page, a row for each setting, in the contract's order."""
-    return render(PROSE) + "".join(_row(setting) for setting in SETTINGS)
+def settings_table() -> str:
+    """Render a row for each setting, in the contract's order."""
+    return table(("setting", "range", "default", "unit", "meaning"), map(_row, SETTINGS))
 
 
-def _row(setting: Setting) -> str:
+def _row(setting: Setting) -> tuple[str, ...]:
     if setting.kind == "text":
         span, default = f"{setting.high:g} characters of printable ASCII", ""
     elif setting.kind == "mode":
@@ -32,7 +27,7 @@ def _row(setting: Setting) -> str:
     meaning = setting.meaning
     if setting.parameter != setting.name:
         meaning += f"; in MAVLink `{setting.parameter}`"
-    return f"| `{setting.name}` | {span} | {default} | {unit} | {meaning} |\n"
+    return f"`{setting.name}`", span, default, unit, meaning
 
 
 def _both(actual: str, betaflight: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from neuroflight.sim.aircraft.model import Aircraft
-from neuroflight.sim.analysis.confidence import Mean, paired
+from neuroflight.sim.analysis.confidence import Mean, mean_of, paired
 from neuroflight.sim.analysis.holding import DRIFT_S
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.config.config_file import load_config
@@ -15,7 +15,7 @@ from neuroflight.training.config.pathwise_config import PathwiseConfig
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.evaluation.comparison import values
 from neuroflight.training.evaluation.controllers import Conditions, load_controller
-from neuroflight.training.evaluation.evaluation import Scores, mean_over, scores
+from neuroflight.training.evaluation.evaluation import Scores, scores
 from neuroflight.training.runs.checkpoint import Learned, load_learned
 from neuroflight.training.runs.train import CHECKPOINT, POLICY, RECORD, Callback, train
 from neuroflight.training.tasks.flight import HOVER_THROTTLE, FlightTask
@@ -168,5 +168,5 @@ def bench(policy: Path, aircraft: Aircraft, commands: int, seed: int) -> Bench:
     found = scores(Conditions(aircraft, task, flights, seed).fly(controller, HOVER_THROTTLE))
     assert found.motor_change is not None
     return Bench(
-        mae=mean_over(found.tracking.mae.mean(axis=1)), change=float(found.motor_change.mean()), scores=found
+        mae=mean_of(found.tracking.mae.mean(axis=1)), change=float(found.motor_change.mean()), scores=found
     )

@@ -11,11 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullLocator
 
-from neuroflight.sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, plain_numbers, titled_figure
+from neuroflight.sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, log_numbers, titled_figure
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 from neuroflight.training.checkpoints.metrics import CheckpointMetrics
 
 FILE_BYTES_MAX = 4 << 20
@@ -35,10 +34,9 @@ class Monitored:
 
 def read_monitor(path: Path) -> Monitored:
     """Read a run's monitor.json. Raises TrainingError if it is none."""
+    data = read_limited(path, str(path), FILE_BYTES_MAX, TrainingError)
     try:
-        if (size := file_size(path)) > FILE_BYTES_MAX:
-            raise TrainingError(f"{path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
-        document = json.loads(path.read_text())
+        document = json.loads(data)
         return Monitored(
             name=f"seed {int(document['seed'])}",
             history=tuple(CheckpointMetrics.of(metrics) for metrics in document["readings"]),
@@ -46,8 +44,6 @@ def read_monitor(path: Path) -> Monitored:
             output=float(document["limits"]["output"]),
             change=float(document["limits"]["change"]),
         )
-    except OSError as error:
-        raise TrainingError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise TrainingError(f"{path} is no record of a monitor; --resume writes it anew") from error
 
@@ -79,7 +75,8 @@ def draw_monitored(runs: Sequence[Monitored], best: str, title: str) -> Figure:
         dress(panel, name)
         panel.set_ylabel(axis, color=INK)
         if figure_name != "reward":
-            _logarithmic(panel)
+            panel.set_yscale("log")
+            log_numbers(panel.yaxis)
     for panel in (change, reward):
         panel.set_xlabel(word, color=INK)
         panel.set_xlim(0, 1.03 * last / unit)
@@ -118,11 +115,3 @@ def _legend(figure: Figure, runs: Sequence[Monitored]) -> None:
 
 def _colour(number: int) -> str:
     return (*FLIGHT_COLOURS, *MOTOR_COLOURS)[number % (len(FLIGHT_COLOURS) + len(MOTOR_COLOURS))]
-
-
-def _logarithmic(panel: Axes) -> None:
-    """Draw a logarithmic axis with ticks at 1, 2 and 5 times powers of ten."""
-    panel.set_yscale("log")
-    panel.yaxis.set_major_locator(LogLocator(base=10, subs=(1, 2, 5)))
-    panel.yaxis.set_minor_locator(NullLocator())
-    plain_numbers(panel.yaxis)

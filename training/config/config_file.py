@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from neuroflight.sim.strict_toml import shown
+from neuroflight.sim.strict_toml import parse_toml, shown
 from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 from neuroflight.training.config.config_table import NAME, ConfigReader
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.plugins import check_recorded
@@ -51,7 +51,7 @@ def load_config(source: str | Path | None, overrides: Sequence[str] = ()) -> Tra
     missing, too large or malformed, and for any key, type or value that is invalid.
     """
     where, document = _read(source)
-    record = {key: document.pop(key) for key in RECORD_KEYS if key in document and _is_json(source)}
+    record = {key: document.pop(key) for key in RECORD_KEYS if key in document and where.endswith(".json")}
     if "plugins" in record:
         check_recorded(record["plugins"], where)
     given = copy.deepcopy(document)
@@ -64,10 +64,6 @@ def load_config(source: str | Path | None, overrides: Sequence[str] = ()) -> Tra
         # Against the file alone: an override may change the observation.
         _check_record(reader, record, reader.table(TrainingConfig, document))
     return config
-
-
-def _is_json(source: str | Path | None) -> bool:
-    return source is not None and Path(source).suffix == ".json"
 
 
 def _order(override: str) -> tuple[int, bool]:
@@ -84,32 +80,24 @@ def _read(source: str | Path | None) -> tuple[str, dict[str, Any]]:
         path, where = FOLDER / f"{source}.toml", f"recipe {source}"
     else:
         path, where = Path(source), f"config {source}"
-    try:
-        if not path.is_file():
-            raise TrainingError(
-                f"{where}: no such file; give the path of a .toml or .json file or one of the recipes: "
-                f"{', '.join(recipes())}"
-            )
-        if path.suffix not in SUFFIXES:
-            raise TrainingError(f"{where}: expected a name that ends in {' or '.join(SUFFIXES)}")
-        if (size := file_size(path)) > FILE_BYTES_MAX:
-            raise TrainingError(f"{where}: {size} bytes, expected at most {FILE_BYTES_MAX}")
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise TrainingError(f"{where}: cannot be read: {error}") from error
-    return where, _parsed(data, path.suffix, where)
+    if not path.is_file():
+        raise TrainingError(
+            f"{where}: no such file; give the path of a .toml or .json file or one of the recipes: "
+            f"{', '.join(recipes())}"
+        )
+    if path.suffix not in SUFFIXES:
+        raise TrainingError(f"{where}: expected a name that ends in {' or '.join(SUFFIXES)}")
+    data = read_limited(path, where, FILE_BYTES_MAX, TrainingError)
+    return where, _json(data, where) if path.suffix == ".json" else parse_toml(data, where, TrainingError)
 
 
-def _parsed(data: bytes, suffix: str, where: str) -> dict[str, Any]:
+def _json(data: bytes, where: str) -> dict[str, Any]:
+    """Return the keys and values of a JSON file; of a training.json, those of its configuration."""
     try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise TrainingError(f"{where}: not UTF-8 at byte {error.start}; save it as UTF-8 text") from error
-    try:
-        document = tomllib.loads(text) if suffix == ".toml" else json.loads(text, object_pairs_hook=_once)
-    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
-        raise TrainingError(f"{where}: not {suffix[1:].upper()}: {_line(error)}") from error
-    if suffix == ".json" and isinstance(document, dict) and isinstance(document.get("config"), dict):
+        document = json.loads(data, object_pairs_hook=_once)
+    except (ValueError, RecursionError) as error:
+        raise TrainingError(f"{where}: not JSON: {_line(error)}") from error
+    if isinstance(document, dict) and isinstance(document.get("config"), dict):
         document = document["config"]
     if not isinstance(document, dict):
         raise TrainingError(f"{where}: got {shown(document)}, expected keys and values")

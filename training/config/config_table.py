@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -24,6 +24,12 @@ Kind = TypeVar("Kind")
 NONE = "none"  # how TOML, which has no null, says None
 NAME = "name"  # the key that says which task, reward or algorithm a table describes
 ITEMS_MAX = 1000  # of a list
+PLAIN: dict[type, str] = {
+    float: "a finite number",
+    int: "a whole number",
+    bool: "true or false",
+    str: f"one line of at most {TEXT_MAX} characters",
+}
 REGISTRIES: dict[object, Mapping[str, type[Any]]] = {Task: TASKS, Reward: REWARDS, Algorithm: ALGORITHMS}
 
 
@@ -42,7 +48,7 @@ class ConfigReader:
         known = {field.name: field for field in dataclasses.fields(kind) if field.init}  # type: ignore[arg-type]
         for key, value in values.items():
             if key not in known:
-                raise self.error(_joined(path, key), f"unknown key; {_nearest(key, tuple(known))}")
+                raise self.error(_joined(path, key), f"unknown key; {nearest(key, tuple(known))}")
             default = _default(known[key])
             given[key] = self._value(hints[key], value, _joined(path, key), default)
         for name, field in known.items():
@@ -120,26 +126,19 @@ class ConfigReader:
         return tuple(self._value(kind, item, f"{path}[{i}]") for i, (kind, item) in items)
 
     def _plain(self, kind: type, value: object, path: str) -> object:
-        if kind is bool:
-            if isinstance(value, bool):
-                return value
-            raise self.error(path, f"got {shown(value)}, expected true or false")
-        if kind is int:
-            if isinstance(value, int) and not isinstance(value, bool):
-                return value
-            raise self.error(path, f"got {shown(value)}, expected a whole number")
-        if kind is float:
-            number = _number(value)
-            if number is not None and math.isfinite(number):
-                return number
-            raise self.error(path, f"got {shown(value)}, expected a finite number")
-        if kind is str:
-            if isinstance(value, str) and len(value) <= TEXT_MAX and (value.isprintable() or not value):
-                return value
-            raise self.error(path, f"got {shown(value)}, expected one line of at most {TEXT_MAX} characters")
-        raise self.error(
-            path, f"its field is of type {kind}, expected float, int, bool, str or a tuple of them"
-        )
+        if kind not in PLAIN:
+            known = ", ".join(each.__name__ for each in PLAIN)
+            raise self.error(path, f"its field is of type {kind}, expected {known} or a tuple of them")
+        number = _number(value)
+        fits = {
+            bool: isinstance(value, bool),
+            int: number is not None and isinstance(value, int),
+            float: number is not None and math.isfinite(number),
+            str: isinstance(value, str) and len(value) <= TEXT_MAX and (value.isprintable() or not value),
+        }
+        if not fits[kind]:
+            raise self.error(path, f"got {shown(value)}, expected {PLAIN[kind]}")
+        return number if kind is float else value
 
 
 def _default(field: dataclasses.Field[Any]) -> object:
@@ -161,7 +160,7 @@ def _joined(path: str, key: object) -> str:
     return f"{path}.{key}" if path else str(key)
 
 
-def _nearest(key: object, known: tuple[str, ...]) -> str:
+def nearest(key: object, known: Sequence[str]) -> str:
     """Suggest the known keys similar to a wrong one, or list all of them."""
     near = difflib.get_close_matches(str(key)[:TEXT_MAX], known)
     return f"nearest: {', '.join(near)}" if near else f"known here: {', '.join(known)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from neuroflight.training.config.randomization import SAME, Randomization
 from neuroflight.training.config.selection import SelectionLimits
 from neuroflight.training.config.throttle import moving_throttle
 from neuroflight.training.plugins import plugins_of
+from neuroflight.training.tasks.limits import Limits, OneOf, Share, value_errors
 from neuroflight.training.tasks.reward import Reward, TrackingReward
 from neuroflight.training.tasks.task import PulseTask, Task
 
@@ -52,16 +53,13 @@ OBSERVATION_SCALES = {
     "rate_estimate": 0.3,
     "rate_estimate_error": 0.3,
 }
-ACTIVATIONS = ("relu", "tanh")
-RECURRENT = ("none", "gru", "lstm")
-GYRO_FILTERS = ("none", POLICY_FILTER_MEAN)
 SEED_MAX = 2**32 - 1
 STEPS_MAX = 10**12  # months of computing time
 LAYERS_MAX, WIDTH_MAX = 8, 1024  # of a policy; the board has memory for far less
 EPISODE_STEPS_MAX = 1_000_000
 TABLE_STEPS_MAX = 64_000_000  # setpoints of all aircraft's episodes, kept in memory: 768 MB
 IDLE_MAX = 0.5
-SCALE_MIN, SCALE_MAX = 1e-3, 1e3  # of an output
+SCALE_MAX = 1e3  # of an output
 WIND_MAX = 30.0  # [m/s], a storm
 
 
@@ -72,16 +70,13 @@ class OutputMap:
     With `squash` a = tanh(last sum), which stays in the frozen network.
     """
 
-    scale: float = 0.5
-    offset: float = 0.5
+    scale: Annotated[float, Limits(1e-3, SCALE_MAX)] = 0.5
+    offset: Annotated[float, Limits(-SCALE_MAX, SCALE_MAX)] = 0.5
     squash: bool = False  # a is tanh of the last sum: bounded outputs with a gradient everywhere
 
     def errors(self) -> Iterator[str]:
         """Yield errors of the values, one line each."""
-        if not SCALE_MIN <= self.scale <= SCALE_MAX:
-            yield f"output.scale {self.scale}, expected {SCALE_MIN:g} to {SCALE_MAX:g}"
-        if not abs(self.offset) <= SCALE_MAX:
-            yield f"output.offset {self.offset}, expected {-SCALE_MAX:g} to {SCALE_MAX:g}"
+        yield from value_errors(self, "output.")
         low, high = self.offset - self.scale, self.offset + self.scale
         if self.squash and not (low < 1.0 and high > 0.0):
             yield f"output reaches from {low:g} to {high:g}, expected some of it within 0 to 1"
@@ -96,14 +91,17 @@ class OutputMap:
 class WorldConfig:
     """The world that the episodes are flown in."""
 
-    mount: str = "centre"  # of mass; "rig": a ball joint at the centre of thrust; "free": flying
+    # Of mass; "rig": a ball joint at the centre of thrust; "free": flying.
+    mount: Annotated[str, OneOf([mount.value for mount in Mount])] = "centre"
     gravity: bool | None = None  # none: in free flight only
     noise: bool = True  # of gyro and accelerometer
-    wind_m_s: Vector = (0.0, 0.0, 0.0)  # world axes, each at most 30
-    gust_m_s: float = 0.0  # of the wind 20 feet above the ground that sets the turbulence
-    throttle_max: float = 0.0  # the pilot's thrust is drawn for each episode from 0 to this
-    throttle_share: float = 1.0  # share of the episodes that have any
-    throttle_steps: float = 0.0  # share of those in which it changes on the way, at random times
+    # World axes, each at most 30.
+    wind_m_s: Annotated[Vector, Limits(-WIND_MAX, WIND_MAX)] = (0.0, 0.0, 0.0)
+    # Of the wind 20 feet above the ground that sets the turbulence.
+    gust_m_s: Annotated[float, Limits(0.0, WIND_MAX)] = 0.0
+    throttle_max: Share = 0.0  # the pilot's thrust is drawn for each episode from 0 to this
+    throttle_share: Share = 1.0  # share of the episodes that have any
+    throttle_steps: Share = 0.0  # share of those in which it changes on the way, at random times
     randomization: Randomization = field(default_factory=Randomization)
 
     def draw_throttles(
@@ -124,18 +122,7 @@ class WorldConfig:
 
     def errors(self) -> Iterator[str]:
         """Yield errors of the values, one line each."""
-        mounts = [mount.value for mount in Mount]
-        if self.mount not in mounts:
-            yield f"mount {self.mount!r}, expected one of: {', '.join(mounts)}"
-        if not all(abs(speed) <= WIND_MAX for speed in self.wind_m_s):
-            yield f"wind_m_s {list(self.wind_m_s)}, expected at most {WIND_MAX:g} m/s each way"
-        if not 0.0 <= self.gust_m_s <= WIND_MAX:
-            yield f"gust_m_s {self.gust_m_s}, expected 0 to {WIND_MAX:g} m/s"
-        if not 0.0 <= self.throttle_max <= 1.0:
-            yield f"throttle_max {self.throttle_max}, expected 0 to 1"
-        for name in ("throttle_share", "throttle_steps"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                yield f"{name} {getattr(self, name)}, expected 0 to 1"
+        yield from value_errors(self)
         if self.gravity and self.mount == Mount.CENTRE.value:
             yield "gravity = true with mount 'centre', where it has no effect; expected mount 'rig' or 'free'"
         if self.randomization.noise != SAME and not self.noise:
@@ -147,22 +134,28 @@ class WorldConfig:
 class TrainingConfig:
     """One training run."""
 
-    steps: int = 8_000_000  # control steps, all aircraft together
-    seed: int = 1
+    steps: Annotated[int, Limits(1, STEPS_MAX)] = 8_000_000  # control steps, all aircraft together
+    seed: Annotated[int, Limits(0, SEED_MAX)] = 1
     observation: str = "rate_error,rate_error_delta"  # terms NAME[~fHz][@k]
-    control_rate_hz: int = 1000  # or 2000, 4000; part of the policy
+    # Or 2000, 4000; part of the policy.
+    control_rate_hz: Annotated[int, OneOf(CONTROL_RATES_HZ)] = 1000
     hidden: tuple[int, ...] = (64, 64)  # widths of the hidden layers
-    activation: str = "tanh"  # or "relu"
-    recurrent: str = "none"  # or "gru", "lstm": the first of the hidden layers, with memory; pathwise only
+    activation: Annotated[str, OneOf(("relu", "tanh"))] = "tanh"  # or "relu"
+    # Or "gru", "lstm": the first of the hidden layers, with memory; pathwise only.
+    recurrent: Annotated[str, OneOf(("none", "gru", "lstm"))] = "none"
     output: OutputMap = field(default_factory=OutputMap)
-    idle: float = 0.0  # motor fraction of armed motors at no thrust; part of the policy, as the next two
-    mix: str = Mix.ATTITUDE_FIRST.text  # of outputs and throttle; or "centred"
-    gyro_filter: str = "none"  # or "mean": of the gyro's samples of a control period
+    # Motor fraction of armed motors at no thrust; part of the policy, as the next two.
+    idle: Annotated[float, Limits(0.0, IDLE_MAX)] = 0.0
+    # Of outputs and throttle; or "centred".
+    mix: Annotated[str, OneOf([mix.text for mix in Mix])] = Mix.ATTITUDE_FIRST.text
+    # Or "mean": of the gyro's samples of a control period.
+    gyro_filter: Annotated[str, OneOf(("none", POLICY_FILTER_MEAN))] = "none"
     task: Task = field(default_factory=PulseTask)
     reward: Reward = field(default_factory=TrackingReward)
     world: WorldConfig = field(default_factory=WorldConfig)
     algorithm: Algorithm = field(default_factory=PpoConfig)
-    checkpoint_steps: int = 1_000_000  # checkpoint at the end of the segment that passes each multiple
+    # Checkpoint at the end of the segment that passes each multiple.
+    checkpoint_steps: Annotated[int, Limits(1)] = 1_000_000
     selection: SelectionLimits = field(default_factory=SelectionLimits)  # of what becomes policy.onnx
 
     def __post_init__(self) -> None:
@@ -173,31 +166,14 @@ class TrainingConfig:
 
     def _errors(self) -> Iterator[str]:
         """Yield errors of the values, one line each."""
-        if not 1 <= self.steps <= STEPS_MAX:
-            yield f"{self.steps} steps asked for, expected at least 1 and at most {STEPS_MAX:g}"
-        if self.checkpoint_steps < 1:
-            yield f"checkpoint_steps {self.checkpoint_steps}, expected at least 1"
-        if not 0 <= self.seed <= SEED_MAX:
-            yield f"seed {self.seed}, expected 0 to {SEED_MAX}"
-        if self.control_rate_hz not in CONTROL_RATES_HZ:
-            yield f"control rate {self.control_rate_hz} Hz, expected one of {list(CONTROL_RATES_HZ)}"
+        yield from value_errors(self)
         if not 1 <= len(self.hidden) <= LAYERS_MAX or not all(1 <= w <= WIDTH_MAX for w in self.hidden):
             yield (
                 f"hidden layers {shown(list(self.hidden))}, expected 1 to {LAYERS_MAX} widths of at least 1 "
                 f"and at most {WIDTH_MAX}"
             )
-        if self.activation not in ACTIVATIONS:
-            yield f"activation {self.activation!r}, expected one of: {', '.join(ACTIVATIONS)}"
-        if self.recurrent not in RECURRENT:
-            yield f"recurrent {self.recurrent!r}, expected one of: {', '.join(RECURRENT)}"
         if self.recurrent != "none" and not isinstance(self.algorithm, PathwiseConfig):
             yield f"recurrent {self.recurrent!r}: {self.algorithm.name} trains no memory; choose pathwise"
-        if not 0.0 <= self.idle <= IDLE_MAX:
-            yield f"idle {self.idle}, expected 0 to {IDLE_MAX}"
-        if self.mix not in (mixes := [mix.text for mix in Mix]):
-            yield f"mix {self.mix!r}, expected one of: {', '.join(mixes)}"
-        if self.gyro_filter not in GYRO_FILTERS:
-            yield f"gyro_filter {self.gyro_filter!r}, expected one of: {', '.join(GYRO_FILTERS)}"
         yield from self.output.errors()
         if not self.output.squash and isinstance(self.algorithm, ENDS_IN_TANH):
             yield f"output.squash false, expected true: {self.algorithm.name}'s policies end in tanh"

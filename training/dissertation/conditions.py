@@ -13,7 +13,6 @@ from neuroflight.sim.strict_toml import StrictTable
 from neuroflight.toolchain.errors import NeuroflightError
 
 FILE = Path(__file__).with_name("conditions.toml")
-EXPERIMENTS_MAX, ROWS_MAX = 100, 20
 TEXTS = ("aircraft", "mount", "task", "machine", "reward", "inputs", "network")
 NUMBERS = {"length_s": 1e4, "commands": 1e6, "steps": 1e9, "agents": 100}  # the largest
 
@@ -31,28 +30,19 @@ class StandIn:
 
 
 @dataclass(frozen=True)
-class Experiment:
-    """Conditions of some rows."""
-
-    rows: tuple[str, ...]  # patterns of their names
-    place: str
-    values: Mapping[str, str | float]
-
-
-@dataclass(frozen=True)
 class Conditions:
     """All conditions of the file."""
 
-    experiments: tuple[Experiment, ...]
+    experiments: Mapping[str, Mapping[str, str | float]]  # by patterns of rows' names, spaces between
     aircraft: Mapping[str, StandIn]  # by the name of our file
     recipes: Mapping[str, StandIn]
 
     def of(self, row: str) -> Mapping[str, str | float]:
-        """Return the conditions of a row, with "place"; empty if the file has none."""
+        """Return the conditions of a row; empty if the file has none."""
         found: dict[str, str | float] = {}
-        for experiment in self.experiments:
-            if any(fnmatchcase(row, pattern) for pattern in experiment.rows):
-                found |= {**experiment.values, "place": experiment.place}
+        for patterns, values in self.experiments.items():
+            if any(fnmatchcase(row, pattern) for pattern in patterns.split()):
+                found |= values
         return found
 
     def stands_for(self, name: str) -> StandIn:
@@ -67,15 +57,18 @@ class Conditions:
 def conditions() -> Conditions:
     """Return the shipped conditions. Raises ConditionsError naming the key that is wrong."""
     table = StrictTable(tomllib.loads(FILE.read_text()), FILE.name, ConditionsError)
-    found = []
-    for entry in table.tables("experiment", 1, EXPERIMENTS_MAX):
+    experiments = table.table("experiment")
+    found = {}
+    for rows in experiments.names():
+        entry = experiments.table(rows)
         values: dict[str, str | float] = {key: entry.text(key) for key in TEXTS if entry.has(key)}
-        values |= {key: entry.number(key, 0.0, most) for key, most in NUMBERS.items() if entry.has(key)}
-        found.append(Experiment(tuple(entry.text("rows").split()), entry.text("place"), values))
+        found[rows] = values | {
+            key: entry.number(key, 0.0, most) for key, most in NUMBERS.items() if entry.has(key)
+        }
         entry.finish()
     aircraft, recipes = _stand_ins(table.table("aircraft")), _stand_ins(table.table("recipe"))
     table.finish()
-    return Conditions(tuple(found), aircraft, recipes)
+    return Conditions(found, aircraft, recipes)
 
 
 def _stand_ins(table: StrictTable) -> Mapping[str, StandIn]:

@@ -13,11 +13,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array32
 from neuroflight.sim.control.observation import limits
 from neuroflight.training.envs.setup import Setup
 from neuroflight.training.envs.simulation import AttitudeSimulation, StepResult
 
-Floats = NDArray[np.float32]
 FRAME_PIXELS = 400  # of a picture's side
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # 1 s of flight lasts 20 s
 
@@ -61,15 +61,15 @@ class AttitudeBatch:
         self.close()
         self._simulation = self._build(rng)
 
-    def reset(self, *, stagger: bool = False) -> Floats:
+    def reset(self, *, stagger: bool = False) -> Array32:
         """Begin an episode on every aircraft, see `AttitudeSimulation.reset`; returns observations (N, n)."""
         return self.simulation.reset(stagger=stagger) * self.scale
 
-    def restart(self, index: NDArray[np.intp]) -> Floats:
+    def restart(self, index: NDArray[np.intp]) -> Array32:
         """Begin a new episode on the aircraft of `index`; returns their observations (len, n)."""
         return self.simulation.restart(index) * self.scale
 
-    def step(self, actions: Floats, limit: float | None = 1.0) -> StepResult:
+    def step(self, actions: Array32, limit: float | None = 1.0) -> StepResult:
         """Advance one control period with actions (N, M), limited to +-limit; None: to nothing.
 
         Raises ValueError on actions that are not finite or of another shape.

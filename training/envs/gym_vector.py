@@ -10,16 +10,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array32
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.envs.batch import METADATA, AttitudeBatch, check_render_mode
 from neuroflight.training.envs.setup import make_setup
 
-Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 RESET_MASK = "reset_mask"  # Gymnasium's option: which aircraft begin an episode
 
 
-class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
+class AttitudeVectorEnv(VectorEnv[Array32, Array32, NDArray[Any]], EzPickle):
     """N aircraft in one twin, each as `AttitudeEnv` has it.
 
     One random stream serves all: a seed repeats the flights of all aircraft together. A list of seeds, one
@@ -67,7 +67,7 @@ class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
         *,
         seed: int | list[int | None] | None = None,  # type: ignore[override]
         options: dict[str, Any] | None = None,
-    ) -> tuple[Floats, dict[str, Any]]:
+    ) -> tuple[Array32, dict[str, Any]]:
         """Begin an episode on every aircraft, or on those of `options["reset_mask"]`, (N,) of bool."""
         mask = (options or {}).get(RESET_MASK)
         if mask is not None:
@@ -78,7 +78,7 @@ class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
         self._observation = self.batch.reset()
         return self._observation.copy(), self._infos()
 
-    def step(self, actions: Floats) -> tuple[Floats, NDArray[np.float64], Flags, Flags, dict[str, Any]]:  # type: ignore[override]
+    def step(self, actions: Array32) -> tuple[Array32, NDArray[np.float64], Flags, Flags, dict[str, Any]]:  # type: ignore[override]
         """Advance all aircraft by one control period."""
         over, mode = self._ended, self.autoreset_mode
         if mode is AutoresetMode.DISABLED and over.any():
@@ -104,7 +104,7 @@ class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
         """Close the physics simulation."""
         self.batch.close()
 
-    def _reset_some(self, mask: NDArray[Any], seed: object) -> tuple[Floats, dict[str, Any]]:
+    def _reset_some(self, mask: NDArray[Any], seed: object) -> tuple[Array32, dict[str, Any]]:
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(
                 f"options[{RESET_MASK!r}] is {mask.dtype} {mask.shape}, expected bool ({self.num_envs},) "
@@ -128,7 +128,7 @@ class AttitudeVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]], EzPickle):
             super().reset(seed=seed)
         self.batch.reseed(self.np_random)
 
-    def _final(self, observation: Floats, ended: Flags) -> dict[str, Any]:
+    def _final(self, observation: Array32, ended: Flags) -> dict[str, Any]:
         """Return the infos of ended episodes' last steps, where the next episode begins in the same step."""
         last = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(ended):

@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array32
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.envs.batch import AttitudeBatch, check_render_mode
 from neuroflight.training.envs.setup import Setup, make_setup
@@ -22,12 +23,7 @@ from neuroflight.training.envs.simulation import StepResult
 # beyond the outputs of any network in use: the simulation clips, so that the reward can see by how much.
 OUTPUT_MAX = 1e3
 
-Floats = NDArray[np.float32]
 Infos = list[dict[str, Any]]
-
-
-def _empty(count: int) -> Infos:
-    return [{} for _ in range(count)]
 
 
 class BatchVecEnv(VecEnv):
@@ -42,14 +38,15 @@ class BatchVecEnv(VecEnv):
         self._actions = np.zeros((batch.count, *action_space.shape), np.float32)
         super().__init__(batch.count, batch.observation_space, action_space)
 
-    def step_async(self, actions: Floats) -> None:
+    def step_async(self, actions: Array32) -> None:
         """Take the actions (N, M) for the next `step_wait`."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[Floats, Floats, NDArray[np.bool_], Infos]:
+    def step_wait(self) -> tuple[Array32, Array32, NDArray[np.bool_], Infos]:
         """Advance all aircraft; ended ones begin anew, their last observation goes into the info."""
         result = self._advance(self._actions)
-        observation, infos = result.observation, _empty(self.num_envs)
+        infos: Infos
+        observation, infos = result.observation, [{} for _ in range(self.num_envs)]
         if result.ended.any():
             index = np.flatnonzero(result.ended)
             for i in index:
@@ -57,7 +54,7 @@ class BatchVecEnv(VecEnv):
             observation[index] = self.batch.restart(index)
         return observation, result.reward, result.ended, infos
 
-    def _advance(self, actions: Floats) -> StepResult:
+    def _advance(self, actions: Array32) -> StepResult:
         raise NotImplementedError
 
     def close(self) -> None:
@@ -70,7 +67,7 @@ class BatchVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return the same attribute for each aircraft: they share one object."""
-        return [getattr(self, attr_name)] * len(self._indices(indices))
+        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:  # noqa: ANN401
         """Set an attribute of the one object all aircraft share."""
@@ -88,10 +85,7 @@ class BatchVecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Return that no aircraft is wrapped."""
-        return [False] * len(self._indices(indices))
-
-    def _indices(self, indices: VecEnvIndices) -> Sequence[int]:
-        return list(self._get_indices(indices))
+        return [False] * len(list(self._get_indices(indices)))
 
 
 class AttitudeVecEnv(BatchVecEnv, EzPickle):
@@ -114,7 +108,7 @@ class AttitudeVecEnv(BatchVecEnv, EzPickle):
         batch = AttitudeBatch(make_setup(num_envs, **arguments), num_envs, np.random.default_rng())
         super().__init__(batch, batch.action_space, render_mode)
 
-    def reset(self) -> Floats:
+    def reset(self) -> Array32:
         """Begin an episode on every aircraft; after `seed`, those that its number repeats."""
         if self._seeds[0] is not None:
             self.batch.reseed(np.random.default_rng(self._seeds[0]))
@@ -124,7 +118,7 @@ class AttitudeVecEnv(BatchVecEnv, EzPickle):
         self._reset_options()
         return self.batch.reset()
 
-    def _advance(self, actions: Floats) -> StepResult:
+    def _advance(self, actions: Array32) -> StepResult:
         return self.batch.step(actions)
 
 
@@ -150,9 +144,9 @@ class LearnerVecEnv(BatchVecEnv):
         """Replace the twin by a new one with the random stream `rng`; call `reset` next."""
         self.batch.reseed(rng)
 
-    def reset(self) -> Floats:
+    def reset(self) -> Array32:
         """Begin an episode on every aircraft, spread over the episode's time."""
         return self.batch.reset(stagger=True)
 
-    def _advance(self, actions: Floats) -> StepResult:
+    def _advance(self, actions: Array32) -> StepResult:
         return self.batch.step(np.tanh(actions) if self._squash else actions, limit=None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
 from neuroflight.toolchain.contract import Mix
 from neuroflight.training.config.algorithms import PpoConfig
 from neuroflight.training.config.config_file import load_config
-from neuroflight.training.config.config_table import ConfigReader
+from neuroflight.training.config.config_table import ConfigReader, nearest
 from neuroflight.training.config.pathwise_config import PathwiseConfig
 from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
 from neuroflight.training.tasks.reward import TrackingReward
@@ -61,9 +60,7 @@ def make_setup(
     given = {name: value for name, value in arguments.items() if value is not None}
     for name in given:
         if name not in ARGUMENTS:
-            near = difflib.get_close_matches(name, ARGUMENTS)
-            known = f"nearest: {', '.join(near)}" if near else f"known: {', '.join(ARGUMENTS)}"
-            raise READER.error(name, f"unknown argument; {known}")
+            raise READER.error(name, f"unknown argument; {nearest(name, ARGUMENTS)}")
     base = _base(config)
     of_world = {
         name: READER.field(WorldConfig, name, given.pop(name)) for name in WORLD_KEYS if name in given

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from neuroflight.sim.analysis.confidence import Mean, mean_of, paired, share_of
 from neuroflight.sim.analysis.holding import settled
 from neuroflight.sim.analysis.response import Hold, large, mean_figures, progress, together
+from neuroflight.sim.arrays import Array
 from neuroflight.training.evaluation.controllers import AnyController, Conditions
-from neuroflight.training.evaluation.evaluation import Evaluation, Flights, Scores, interval, summary
+from neuroflight.training.evaluation.evaluation import Evaluation, Flights, Scores, summary
 from neuroflight.training.evaluation.floor import scored
 
-Array = NDArray[np.float64]
 CHUNK = 128  # episodes whose errors are computed at a time
 PERCENTILES = (5, 50, 95)  # over commands, of the drawn curves
 STEP_S = 0.6  # drawn part of a held command
@@ -153,11 +153,6 @@ def differences(first: Scores, other: Scores) -> dict[str, Mean]:
     return {name: paired(before[name], after[name]) for name in before if name in after}
 
 
-def significant(difference: Mean) -> bool:
-    """Return True if the 95 % confidence interval excludes zero."""
-    return bool(difference.low > 0.0 or difference.high < 0.0)
-
-
 def percent(first: Scores, other: Scores) -> dict[str, Mean]:
     """Return by how much the means of ERRORS are larger in `other` than in `first`, same commands [%].
 
@@ -183,7 +178,7 @@ def change_percent(first: Array, other: Array) -> Mean:
         return Mean(unknown, unknown, unknown, np.array(0, np.int64))
     ratio = float(other.mean()) / base
     each = 100.0 * ((ratio - 1.0) + (other - ratio * first) / base)
-    return mean_of(each, np.ones(len(each), bool))
+    return mean_of(each)
 
 
 def times_faster(first: Evaluation, other: Evaluation) -> list[float | None]:
@@ -207,35 +202,18 @@ def average(entries: Sequence[Entry]) -> dict[str, object]:
     held = [response for response in responses if response is not None]
     commands = entries[0].scores.commands
     pooled = [values(entry.scores) for entry in entries]
+    joined = {name: np.concatenate([each[name] for each in pooled]) for name in pooled[0]}
     sums = [float(each["error" if "error" in each else "iae"].mean(axis=0).sum()) for each in pooled]
     return {
         "controllers": [entry.controller.name for entry in entries],
         "episodes": sum(len(entry.scores.output) for entry in entries),
         "sum_of_errors": sums,
         "best": entries[int(np.argmin(sums))].controller.name,
-        "means": {
-            name: interval(_mean_of(name, np.concatenate([each[name] for each in pooled]), commands))
-            for name in pooled[0]
-        },
+        "means": {name: _mean_of(name, each, commands).document() for name, each in joined.items()},
         "response": (
             asdict(mean_figures(together(held), commands=commands)) if len(held) == len(entries) else None
         ),
     }
-
-
-def document(entry: Entry, first: Entry | None) -> dict[str, object]:
-    """Return the means, and differences to `first` unless that is None, as JSON data."""
-    found: dict[str, object] = {"means": {name: interval(mean) for name, mean in means(entry.scores).items()}}
-    if first is not None:
-        found["difference"] = {
-            name: {**interval(mean), "significant": significant(mean)}
-            for name, mean in differences(first.scores, entry.scores).items()
-        }
-        found["percent"] = {
-            name: interval(mean) for name, mean in percent(first.scores, entry.scores).items() if mean.count
-        }
-        found["times_faster"] = times_faster(first.evaluation, entry.evaluation)
-    return found
 
 
 def curves(flights: Flights) -> Curves:

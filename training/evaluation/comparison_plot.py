@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
 
 from neuroflight.sim.analysis.response import BAND
 from neuroflight.sim.analysis.spectrum_plot import Line, draw_spectra
-from neuroflight.sim.plotting import INK, SHADE, dress, line_colour, plain_numbers, titled_figure
+from neuroflight.sim.plotting import INK, SHADE, dress, line_colour, log_numbers, titled_figure
 from neuroflight.toolchain.contract import AXES
 from neuroflight.training.evaluation.comparison import Entry
 from neuroflight.training.evaluation.thrust import Transparency
@@ -128,9 +127,7 @@ def _draw_errors(panel: Axes, entries: Sequence[Entry]) -> None:
         mark = "o-" if flights else "-"
         panel.plot(t, median, mark, ms=3, color=colour, lw=1.3, label=label, zorder=2 + front)
     panel.set_yscale("log")
-    panel.yaxis.set_major_locator(LogLocator(base=10, subs=(1, 2, 5)))
-    panel.yaxis.set_minor_locator(NullLocator())
-    plain_numbers(panel.yaxis)
+    log_numbers(panel.yaxis)
     panel.set_ylim(bottom=ERROR_MIN_DEG_S)
     panel.set_xlim(0, float(entries[0].curves.t[-1]))
     panel.set_xlabel("age of the flight, s" if flights else "time of the episode, s", color=INK)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.training.evaluation.comparison import Entry
 
-Array = NDArray[np.float64]
 EDGES_DEG_S = (0.0, 200.0, 400.0, 600.0, 800.0, 1000.0, 2000.0)  # of the magnitude of a command
 
 
@@ -47,25 +47,3 @@ def by_magnitude(found: Envelope) -> tuple[NDArray[np.intp], Array, Array]:
     number = np.where(count > 0, count, np.nan)
     error, held = (np.bincount(interval, each, len(count)) / number for each in (found.mae, found.held))
     return count, error, held
-
-
-def envelope_document(found: Envelope, first: Envelope) -> dict[str, object]:
-    """Return the figures as JSON data, the error beside that of `first`."""
-    mae, reference = float(found.mae.mean()), float(first.mae.mean())
-    count, error, held = by_magnitude(found)
-    return {
-        "mae": mae,
-        "mae_ratio_to_first": mae / reference if reference > 0.0 else None,
-        "held_to_deg_s": _largest(found.magnitude, found.held),
-        "held_to_bare_deg_s": _largest(found.magnitude, found.held_bare),
-        "largest_command_deg_s": float(found.magnitude.max()),
-        "magnitude_edges_deg_s": EDGES_DEG_S,
-        "magnitude_commands": count.tolist(),
-        "magnitude_mae": [None if np.isnan(value) else value for value in error.tolist()],
-        "magnitude_held": [None if np.isnan(value) else value for value in held.tolist()],
-    }
-
-
-def _largest(magnitude: Array, held: NDArray[np.bool_]) -> float | None:
-    """Return the magnitude of the largest command that was held; None if none was."""
-    return float(magnitude[held].max()) if held.any() else None

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from neuroflight.sim.analysis.confidence import Mean
-from neuroflight.training.evaluation.comparison import Array, Entry, document, enter, values
+from neuroflight.sim.analysis.confidence import Mean, mean_of
+from neuroflight.sim.arrays import Array
+from neuroflight.training.evaluation.comparison import Entry, enter, values
 from neuroflight.training.evaluation.controllers import AnyController, Conditions
-from neuroflight.training.evaluation.evaluation import interval, mean_over
 from neuroflight.training.evaluation.thrust import (
-    TRANSPARENT,
-    Progress,
+    Bar,
     Transparency,
     Trim,
     transparency,
     trims,
 )
-
-Bar = Callable[[str], Progress]  # adds a bar of that name and gives its update
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,49 +77,9 @@ def over_levels(levels: Sequence[Level], number: int, name: str) -> tuple[Mean, 
     """
     own = [_each(level.entries[number], name) for level in levels]
     if number == 0:
-        return mean_over(np.mean(own, axis=0)), None
+        return mean_of(np.mean(own, axis=0)), None
     first = [_each(level.entries[0], name) for level in levels]
-    return mean_over(np.mean(own, axis=0)), mean_over(np.mean(own, axis=0) - np.mean(first, axis=0))
-
-
-def level_document(level: Level, flight: Callable[[Entry], dict[str, object]]) -> dict[str, object]:
-    """Return a level as JSON data; flight: what a controller and its figures give."""
-    first = level.entries[0]
-    return {
-        "thrust": level.wanted,
-        "controllers": [
-            {
-                **flight(entry),
-                **document(entry, None if entry is first else first),
-                "thrust_at_rest": interval(trim.rest.thrust),
-                "motor_at_rest": trim.rest.motor,
-                "motor_deviation_at_rest": trim.rest.deviation,
-                "reached": trim.reached,
-            }
-            for entry, trim in zip(level.entries, level.trims, strict=True)
-        ],
-    }
-
-
-def transparency_document(known: Transparency) -> dict[str, object]:
-    """Return a controller at rest as JSON data."""
-    farthest = known.deviation
-    return {
-        "controller": known.controller.name,
-        **known.controller.facts,
-        "idle": known.controller.idle,
-        "throttle": [rest.throttle for rest in known.rests],
-        "thrust": [float(rest.thrust.value) for rest in known.rests],
-        "motor": [rest.motor for rest in known.rests],
-        "motor_deviation": [rest.deviation for rest in known.rests],
-        "ideal": [known.ideal(rest.throttle) for rest in known.rests],
-        "deviation": {
-            "throttles": list(TRANSPARENT),
-            "value": farthest.motor - known.ideal(farthest.throttle),
-            "throttle": farthest.throttle,
-        },
-        "falls": None if known.falls is None else list(known.falls),
-    }
+    return mean_of(np.mean(own, axis=0)), mean_of(np.mean(own, axis=0) - np.mean(first, axis=0))
 
 
 def _each(entry: Entry, name: str) -> Array:

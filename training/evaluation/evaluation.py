@@ -225,7 +225,8 @@ def record(
     commands, noise_rng = drawn(seed)
     wanted = task.episodes(episodes, commands, control_rate_hz)
     steps = wanted.shape[1]
-    by_step = _thrust_by_step(throttle)
+    # Of each control step, (T, episodes); None: it stays as it is.
+    by_step = np.ascontiguousarray(np.transpose(throttle), np.float32) if np.ndim(throttle) == 2 else None
     thrust = np.full(episodes, 0.0 if by_step is not None else throttle, np.float32)
     rows = Rows(steps, episodes, aircraft.motor_count)
     samples = samples_per_step(gyro_mean, control_rate_hz)
@@ -277,11 +278,6 @@ def record(
     return rows.flights(wanted, 1.0 / control_rate_hz, task, samples)
 
 
-def _thrust_by_step(throttle: float | NDArray[np.float32]) -> NDArray[np.float32] | None:
-    """Return the thrust of each control step, (T, episodes), from (episodes, T); None: it stays as it is."""
-    return np.ascontiguousarray(np.transpose(throttle), np.float32) if np.ndim(throttle) == 2 else None
-
-
 def figures(flights: Flights) -> Evaluation:
     """Return all figures of recorded flights."""
     return summary(scores(flights))
@@ -324,8 +320,8 @@ def _means(values: NDArray[np.float32] | None, rows: slice) -> NDArray[np.float6
 
 def summary(scores: Scores) -> Evaluation:
     """Return the means over the episodes with their confidence."""
-    errors = [mean_over(getattr(scores.tracking, field.name)) for field in fields(Tracking)]
-    output, change, rough = (mean_over(each) for each in (scores.output, scores.change, scores.smoothness))
+    errors = [mean_of(getattr(scores.tracking, field.name)) for field in fields(Tracking)]
+    output, change, rough = (mean_of(each) for each in (scores.output, scores.change, scores.smoothness))
     return Evaluation(
         episodes=len(scores.output),
         tracking=Tracking(*(mean.value for mean in errors)),
@@ -337,21 +333,11 @@ def summary(scores: Scores) -> Evaluation:
         smoothness_margin=float(rough.high - rough.value),
         spectrum=scores.spectrum,
         response=mean_figures(scores.response, commands=scores.commands) if scores.response else None,
-        motor_change=None if scores.motor_change is None else mean_over(scores.motor_change),
+        motor_change=None if scores.motor_change is None else mean_of(scores.motor_change),
         holding=holding_figures(scores.holding) if scores.holding else None,
         mae_least=float(scores.floors.mae.mean()) if scores.floors else None,
         mse_least=float(scores.floors.mse.mean()) if scores.floors else None,
     )
-
-
-def mean_over(values: NDArray[np.float64]) -> Mean:
-    """Return the mean over episodes (E, ...) with its confidence."""
-    return mean_of(values, np.ones(values.shape, bool))
-
-
-def interval(mean: Mean) -> dict[str, float]:
-    """Return a mean and its confidence interval, as JSON data."""
-    return {name: float(getattr(mean, name)) for name in ("value", "low", "high")}
 
 
 def _by_episode(array: NDArray[np.float32]) -> NDArray[np.float32]:

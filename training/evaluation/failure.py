@@ -11,17 +11,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.aircraft.payload import Payload, loaded
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.toolchain.contract import AXES, GYRO_FULL_SCALE_DEG_S
 from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import Event, Flights
 from neuroflight.training.tasks.task import EpisodicTask
 
-Array = NDArray[np.float64]
 WINDOW_S = 0.5  # before the change, and at the end
 SMOOTH_S = 0.02  # rates are averaged over this before they are compared with the band
 BAND_DEG_S, BAND_SHARE = 5.0, 0.1  # recovered: this close to the command, or this share of it
@@ -166,33 +165,6 @@ def case_result(case: Case, flights: Flights, at_s: float) -> CaseResult:
         traces=smooth.mean(axis=0),
         step_s=step_s,
     )
-
-
-def document(result: Failure) -> dict[str, object]:
-    """Return a controller and its cases, as JSON data."""
-    return {
-        "controller": result.controller.name,
-        "label": result.controller.label,
-        **result.controller.facts,
-        "cases": {each.case.name: _case_document(each) for each in result.cases},
-    }
-
-
-def _case_document(result: CaseResult) -> dict[str, object]:
-    return {
-        "kind": result.case.kind,
-        **{name: _by_axis(getattr(result, name)) for name in ("before", "after", "settled", "peak")},
-        "recovered_share": _by_axis(result.recovered),
-        "recovery_s": _by_axis(result.recovery_s),
-        "lost_axes": list(result.lost),
-        "diverged_share": result.diverged,
-    }
-
-
-def _by_axis(values: Array) -> dict[str, float | None]:
-    return {
-        axis: None if math.isnan(value) else float(value) for axis, value in zip(AXES, values, strict=True)
-    }
 
 
 def _averaged(values: Array, length: int) -> Array:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.battery import open_circuit_voltage
 from neuroflight.sim.physics.rotor import target_speed
 from neuroflight.sim.physics.world import Mount
@@ -30,7 +31,6 @@ from neuroflight.training.evaluation.controllers import AnyController, Condition
 from neuroflight.training.evaluation.evaluation import Flights, Floors, Scores, scores
 from neuroflight.training.learners.pathwise.open_loop import Commands, Motors, search
 
-Array = NDArray[np.float64]
 FIRST_S = 0.1  # [s] of a sequence; twice as long where an error is left, and so on
 SHORTEST_S = 0.02  # [s] of a command: none can be reached sooner
 BEFORE_S = 0.1  # [s] before a change of the command, in which the thrust at rest is taken

@@ -37,7 +37,6 @@ from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
 from neuroflight.toolchain.errors import PolicyError
 from neuroflight.training.evaluation.betaflight import betaflight_facts, betaflight_idle, betaflight_label
 from neuroflight.training.evaluation.controllers import ControllerSpec, load_controller
-from neuroflight.training.evaluation.evaluation import interval
 
 COMPARED = ("mae", "mse")  # figures of which the lowest wins
 
@@ -166,7 +165,7 @@ class Flown:
 def means(flights: Sequence[ManoeuvreFigures] | Sequence[DescentFigures]) -> dict[str, Mean]:
     """Return each figure over seeds with its 95 % confidence."""
     names = [field.name for field in fields(flights[0])]
-    return {name: _mean(_values(flights, name)) for name in names}
+    return {name: mean_of(_values(flights, name)) for name in names}
 
 
 def winner(flown: Sequence[Flown], manoeuvre: str, figure: str) -> int:
@@ -176,51 +175,17 @@ def winner(flown: Sequence[Flown], manoeuvre: str, figure: str) -> int:
 
 def significant(flown: Sequence[Flown], manoeuvre: str, figure: str, best: int) -> bool:
     """Return True if the best differs from every other with 95 % confidence, seed by seed."""
-    first = _values(flown[best].manoeuvres[manoeuvre], figure)
-    others = [_values(one.manoeuvres[manoeuvre], figure) for k, one in enumerate(flown) if k != best]
-    return len(first) > 1 and all(float(paired(first, other).low) > 0.0 for other in others)
+    others = [one for k, one in enumerate(flown) if k != best]
+    above = [less(flown[best], one, manoeuvre, figure) for one in others]
+    return all(mean.count > 1 and mean.low > 0.0 for mean in above)
 
 
-def document(flown: Sequence[Flown]) -> list[dict[str, object]]:
-    """Return controllers with their figures as JSON data; differences are to the first, seed by seed."""
-    return [_document(flown, index) for index in range(len(flown))]
-
-
-def _document(flown: Sequence[Flown], index: int) -> dict[str, object]:
-    one, first = flown[index], flown[0]
-    found: dict[str, object] = {}
-    for name, flights in one.manoeuvres.items():
-        figures: dict[str, object] = {key: interval(mean) for key, mean in means(flights).items()}
-        if index:
-            figures["difference"] = {key: _difference(first, one, name, key) for key in COMPARED}
-        figures["wins"] = [key for key in COMPARED if len(flown) > 1 and winner(flown, name, key) == index]
-        figures["clear_wins"] = [
-            key
-            for key in COMPARED
-            if len(flown) > 1 and winner(flown, name, key) == index and significant(flown, name, key, index)
-        ]
-        found[name] = figures
-    return {
-        "controller": one.controller.name,
-        **one.controller.facts,
-        "idle": one.controller.idle,
-        "throttle": list(one.curve.throttle),
-        "thrust_at_rest": list(one.curve.thrust),
-        "figures": found,
-        "descent": {key: interval(mean) for key, mean in means(one.descents).items()},
-    }
-
-
-def _difference(first: Flown, one: Flown, manoeuvre: str, figure: str) -> dict[str, float | bool]:
-    mean = paired(*(_values(each.manoeuvres[manoeuvre], figure) for each in (first, one)))
-    return {**interval(mean), "significant": bool(mean.low > 0.0 or mean.high < 0.0)}
+def less(first: Flown, one: Flown, manoeuvre: str, figure: str) -> Mean:
+    """Return a figure of `one` less that of `first`, seed by seed."""
+    return paired(*(_values(each.manoeuvres[manoeuvre], figure) for each in (first, one)))
 
 
 def _values(
     flights: Sequence[ManoeuvreFigures] | Sequence[DescentFigures], figure: str
 ) -> NDArray[np.float64]:
     return np.array([getattr(flight, figure) for flight in flights], np.float64)
-
-
-def _mean(values: NDArray[np.float64]) -> Mean:
-    return mean_of(values, np.ones(len(values), bool))

@@ -8,23 +8,22 @@ then follows the commands of a task, so that its error stands beside what it dra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Battery
-from neuroflight.sim.analysis.confidence import Mean
+from neuroflight.sim.analysis.confidence import Mean, mean_of
 from neuroflight.sim.physics.battery import BatteryState
 from neuroflight.sim.physics.world import Mount
 from neuroflight.training.evaluation.comparison import values
 from neuroflight.training.evaluation.controllers import AnyController, Conditions
-from neuroflight.training.evaluation.evaluation import Flights, interval, mean_over, scores
-from neuroflight.training.evaluation.thrust import Progress, Trim, transparency, trims
+from neuroflight.training.evaluation.evaluation import Flights, scores
+from neuroflight.training.evaluation.thrust import Bar, Trim, transparency, trims
 from neuroflight.training.tasks.task import EpisodicTask
 
-Bar = Callable[[str], Progress]  # adds a bar of that name and gives its update
 SAMPLE_S = 0.001
 SETTLING = 10  # samples until voltage and current of a constant power agree
 SPIN_UP_S = 0.5  # left out of idling and rest: rotors and filters settle
@@ -37,10 +36,6 @@ class Draw:
     volts: Mean  # [V], under load
     amps: Mean  # [A]
     watts: Mean  # [W]
-
-    def document(self) -> dict[str, object]:
-        """Return the figures as JSON data."""
-        return {name: interval(getattr(self, name)) for name in ("volts", "amps", "watts")}
 
 
 @dataclass(frozen=True)
@@ -92,35 +87,13 @@ def power(
         rest = settled(resting.fly(controller, throttle, bar(f"{controller.label}, throttle {throttle:.3f}")))
         flights = conditions.fly(controller, throttle, bar(f"{controller.label}, commands"))
         errors = values(scores(flights))["mae"].mean(axis=1)
-        flown.append(PowerAtThrust(trim, rest, _of(flights, 0), mean_over(errors)))
+        flown.append(PowerAtThrust(trim, rest, _of(flights, 0), mean_of(errors)))
     return Drawn(controller, idling, tuple(flown))
 
 
 def settled(flights: Flights) -> Draw:
     """Return the figures of flights after SPIN_UP_S."""
     return _of(flights, round(SPIN_UP_S / flights.step_s))
-
-
-def document(drawn: Drawn) -> dict[str, object]:
-    """Return the figures of a controller as JSON data."""
-    return {
-        "controller": drawn.controller.name,
-        "label": drawn.controller.label,
-        **drawn.controller.facts,
-        "idle": drawn.controller.idle,
-        "control_rate_hz": drawn.controller.control_rate_hz,
-        "armed": drawn.idling.document(),
-        "flights": [
-            {
-                "thrust": flown.trim.wanted,
-                "reached": flown.trim.reached,
-                "throttle": flown.trim.rest.throttle,
-                "rest": flown.rest.document(),
-                "commands": {"mae": interval(flown.mae), **flown.commands.document()},
-            }
-            for flown in drawn.flown
-        ],
-    }
 
 
 def _of(flights: Flights, first: int) -> Draw:
@@ -131,4 +104,4 @@ def _of(flights: Flights, first: int) -> Draw:
 def _draw(volts: NDArray[np.floating], amps: NDArray[np.floating]) -> Draw:
     """Return the means of (E, T), over T and then over E."""
     each, drawn = volts.astype(np.float64), amps.astype(np.float64)
-    return Draw(*(mean_over(series.mean(axis=1)) for series in (each, drawn, each * drawn)))
+    return Draw(*(mean_of(series.mean(axis=1)) for series in (each, drawn, each * drawn)))

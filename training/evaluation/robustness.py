@@ -14,20 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
-from neuroflight.sim.analysis.confidence import NORMAL, Mean, share_of
+from neuroflight.sim.analysis.confidence import NORMAL, Mean, mean_of, share_of
 from neuroflight.sim.analysis.holding import DRIFT_S
 from neuroflight.sim.analysis.metrics import CHANGE_S
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.variation import Variation
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GYRO_FULL_SCALE_DEG_S
 from neuroflight.training.config.randomization import Randomization, Range
 from neuroflight.training.config.training_config import WorldConfig
 from neuroflight.training.evaluation.controllers import AnyController, Conditions
-from neuroflight.training.evaluation.evaluation import Flights, interval, mean_over
+from neuroflight.training.evaluation.evaluation import Flights
 from neuroflight.training.tasks.flight import FlightTask
 from neuroflight.training.tasks.task import Task
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 # Ranges of an aircraft built to the file; none is measured. Mass, inertia, lag, delay and battery are the
@@ -222,7 +222,7 @@ def ratio_of(part: Array, whole: Array) -> Mean:
     """Return the ratio of the means of two figures (E,), linearised for its 95 % confidence."""
     ratio = float(part.mean() / whole.mean())
     away = ratio + (part - ratio * whole) / whole.mean()
-    return mean_over(away)
+    return mean_of(away)
 
 
 def quantile_of(values: Array, q: float) -> Mean:
@@ -275,7 +275,7 @@ def _fly(
 def _case(case: Case, varied: EpisodeFigures, nominal: EpisodeFigures) -> CaseResult:
     return CaseResult(
         case=case,
-        mae=mean_over(varied.mae),
+        mae=mean_of(varied.mae),
         ratio=ratio_of(varied.mae, nominal.mae),
         output=float(varied.output.mean()),
         change=float(varied.change.mean()),
@@ -297,45 +297,3 @@ def _joint(varied: EpisodeFigures, nominal: EpisodeFigures, draws: int) -> Joint
         diverged_share=share_of(diverged),
         drift=None if varied.drift is None else float(varied.drift.mean()),
     )
-
-
-def document(result: Robustness) -> dict[str, object]:
-    """Return a controller and its results, as JSON data."""
-    controller, joint = result.controller, result.joint
-    return {
-        "controller": controller.name,
-        "label": controller.label,
-        **controller.facts,
-        "idle": controller.idle,
-        "control_rate_hz": controller.control_rate_hz,
-        "cases": {
-            each.case.name: {
-                "parameter": each.case.parameter,
-                "value": each.case.value if each.case.parameter else None,
-                "mae": interval(each.mae),
-                "ratio": interval(each.ratio),
-                "output": each.output,
-                "change": each.change,
-                "diverged": each.diverged,
-                "met": each.met,
-                **_told_drift(each.drift),
-            }
-            for each in result.cases
-        },
-        "joint": None
-        if joint is None
-        else {
-            "median": interval(joint.median),
-            "high": interval(joint.high),
-            "change": joint.change,
-            "diverged": joint.diverged,
-            "diverged_share": interval(joint.diverged_share),
-            "ratios": [round(float(ratio), 4) for ratio in joint.ratios],
-            "met": joint.met,
-            **_told_drift(joint.drift),
-        },
-    }
-
-
-def _told_drift(drift: float | None) -> dict[str, float]:
-    return {} if drift is None else {"drift": drift}

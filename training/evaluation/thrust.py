@@ -15,16 +15,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from neuroflight.sim.analysis.confidence import Mean
+from neuroflight.sim.analysis.confidence import Mean, mean_of
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.training.evaluation.controllers import AnyController, Conditions
-from neuroflight.training.evaluation.evaluation import mean_over
 from neuroflight.training.tasks.task import EpisodicTask
 
-Array = NDArray[np.float64]
 REST_S = 1.5
 LAST_S = 1.0
 AIRCRAFT = 4  # at each throttle: they differ by less than a thousandth of the weight
@@ -34,7 +31,8 @@ ROUNDS = 8  # of the search for a throttle, at most
 NEAR = 0.003  # of the wanted thrust, at which the search ends
 FINEST = 2.0**-12  # of the throttle: a stick's step is a thousandth
 
-Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]  # steps done and to do
+Bar = Callable[[str], Progress]  # adds a bar of that name and gives its update
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ def at_rest(
         for values in (motors.mean(axis=1), motors.std(axis=1))
     )
     return [
-        Rest(throttle, mean_over(each), float(mean), float(deviation))
+        Rest(throttle, mean_of(each), float(mean), float(deviation))
         for throttle, each, mean, deviation in zip(throttles, thrust, means, deviations, strict=True)
     ]
 

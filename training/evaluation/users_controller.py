@@ -7,21 +7,20 @@ tuned of it are its `parameters`. docs/guides/own-modules.md has an example.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array32
 from neuroflight.sim.control.controller import Controller
-from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.sim.strict_toml import StrictTable, parse_toml
 from neuroflight.toolchain.contract import CONTROL_RATES_HZ, POLICY_FILTER_MEAN, Mix
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 from neuroflight.training.plugins import blaming, real_array, users_class
 
 PYTHON = ".py"
@@ -29,8 +28,6 @@ RATE_HZ, IDLE, IDLE_MAX = 1000, 0.0, 0.5  # where the class says nothing
 VALUES_BYTES_MAX = 100_000
 VALUE_MAX = 1e12
 PARAMETERS_MAX = 100
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,7 @@ class _Checked:
         with blaming(self._name):
             self._made.reset()
 
-    def step(self, setpoint: Floats, gyro: Floats, throttle: Floats) -> Floats:
+    def step(self, setpoint: Array32, gyro: Array32, throttle: Array32) -> Array32:
         """Return the checked outputs, see Controller."""
         with blaming(self._name):
             found = self._made.step(*map(_own, (setpoint, gyro, throttle)))
@@ -116,7 +113,7 @@ class _Checked:
         return outputs.clip(np.float32(0.0), np.float32(1.0))
 
 
-def _own(array: Floats) -> Floats:
+def _own(array: Array32) -> Array32:
     """Return a copy that the user may change."""
     return np.array(array, np.float32)
 
@@ -170,15 +167,8 @@ def _is_number(value: Any) -> bool:  # noqa: ANN401
 
 def _read_values(path: Path, parameters: Mapping[str, Parameter]) -> dict[str, float]:
     """Read values of some parameters. Raises TrainingError naming one that is unknown or out of its range."""
-    try:
-        if (size := file_size(path)) > VALUES_BYTES_MAX:
-            raise TrainingError(f"{path}: {size} bytes, expected at most {VALUES_BYTES_MAX}")
-        document = tomllib.loads(path.read_bytes().decode())
-    except OSError as error:
-        raise TrainingError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise TrainingError(f"{path}: not TOML: {' '.join(str(error).split())}") from error
-    table = StrictTable(document, str(path), TrainingError)
+    data = read_limited(path, str(path), VALUES_BYTES_MAX, TrainingError)
+    table = StrictTable(parse_toml(data, str(path), TrainingError), str(path), TrainingError)
     known = [name for name in parameters if table.has(name)]
     values = {name: table.number(name, parameters[name].low, parameters[name].high) for name in known}
     table.finish()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import ClassVar
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from neuroflight.sim.design.figures import Endurance, aircraft_figures
 from neuroflight.sim.physics.variation import Variation
 from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
 from neuroflight.training.tasks.flight import FlightTask
-from neuroflight.training.tasks.task import Setpoints
+from neuroflight.training.tasks.task import GivenCommands, PulseTask
 
 SEED = 2_000_003  # of commands, noise and bias: neither training, monitor nor results use it
 THRUSTS = (0.35, 1.0, 2.0, 4.0)  # of the weight, in which the ten commands are flown
@@ -88,30 +87,6 @@ class Turn:
 
 
 @dataclass(frozen=True)
-class TurnTask:
-    """Rest, one full turn held, rest again; one episode for each turn."""
-
-    name: ClassVar[str] = "turns"
-    turns: tuple[Turn, ...]
-    idle_s: float = 0.3
-    command_s: float = 1.1
-    rest_s: float = 0.6
-
-    @property
-    def duration_s(self) -> float:
-        """Length of an episode [s]."""
-        return self.idle_s + self.command_s + self.rest_s
-
-    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
-        """See Task; `count` is that of the turns."""
-        setpoints = np.zeros((count, round(self.duration_s * rate_hz), 3), np.float32)
-        begin, end = (round(t * rate_hz) for t in (self.idle_s, self.idle_s + self.command_s))
-        for number, turn in enumerate(self.turns):
-            setpoints[number, begin:end, turn.axis] = np.deg2rad(turn.rate_deg_s)
-        return setpoints
-
-
-@dataclass(frozen=True)
 class Course:
     """All that is flown of one aircraft."""
 
@@ -130,6 +105,16 @@ class Course:
             flights=tuple(flight for flight in self.flights if flight.condition is None),
             turns=tuple(turn for turn in self.turns if turn.thrust == least),
         )
+
+    @property
+    def turn(self) -> PulseTask:
+        """Rest, a full turn held, rest again."""
+        return PulseTask(idle_s=0.3, command_s=1.1, rest_s=0.6)
+
+    def turning(self) -> GivenCommands:
+        """Return the task of the turns, an episode for each."""
+        commands = [np.eye(3)[turn.axis] * turn.rate_deg_s for turn in self.turns]
+        return GivenCommands(self.turn, np.deg2rad(commands))
 
     def variation(self) -> Variation:
         """Return the differences of the flights' aircraft from the file."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.holding import holding
 from neuroflight.sim.analysis.swing import change, swing
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
 from neuroflight.training.evaluation.controllers import AnyController, Conditions
@@ -24,11 +25,9 @@ from neuroflight.training.fitness.course import (
     CommandFlight,
     Course,
     Turn,
-    TurnTask,
 )
 from neuroflight.training.tasks.task import EpisodicTask
 
-Array = NDArray[np.float64]
 Axes = tuple[float, float, float]
 Progress = Callable[[float], None]  # the part that is done, 0 to 1
 HELD_S = 0.6  # the last part of a full turn, in which its rate is held
@@ -80,7 +79,7 @@ def fly_course(controller: AnyController, course: Course, progress: Progress | N
     """Fly everything. progress: is called with the part that is done."""
     rate_hz = max(GYRO_RATE_DEFAULT_HZ, controller.control_rate_hz)
     base = Conditions(course.aircraft, FLIGHT, 1, SEED, gyro_rate_hz=rate_hz, sticks=True)
-    turning = TurnTask(course.turns)
+    turning = course.turning()
     seconds = (1.5, FLIGHT.duration_s, turning.duration_s, GROUND_S)
     done = [0.0]
 
@@ -108,7 +107,7 @@ def fly_course(controller: AnyController, course: Course, progress: Progress | N
     turns: tuple[TurnFigures, ...] = ()
     if course.turns:
         flying = replace(base, task=turning, episodes=len(course.turns))
-        turns = turn_figures(flying.fly(controller, throttles(course.turns), part(2)), turning)
+        turns = turn_figures(flying.fly(controller, throttles(course.turns), part(2)), course)
     still = EpisodicTask(distribution="normal", sigma_deg_s=0.0, hold_s=GROUND_S)
     ground = replace(base, task=still, episodes=GROUND_AIRCRAFT, mount=Mount.FREE, ground=True).fly(
         controller, 0.0, part(3)
@@ -168,14 +167,14 @@ def with_least(
     return tuple(found)
 
 
-def turn_figures(flights: Flights, task: TurnTask) -> tuple[TurnFigures, ...]:
+def turn_figures(flights: Flights, course: Course) -> tuple[TurnFigures, ...]:
     """Compute the figures of each full turn."""
     assert flights.motors is not None
     step_s = flights.step_s
-    end = round((task.idle_s + task.command_s) / step_s)
+    end = round((course.turn.idle_s + course.turn.command_s) / step_s)
     held, back = slice(end - round(HELD_S / step_s), end), slice(-round(BACK_S / step_s), None)
     found = []
-    for number, turn in enumerate(task.turns):
+    for number, turn in enumerate(course.turns):
         error = np.abs(np.rad2deg(flights.setpoint[number] - flights.rate[number], dtype=np.float64))
         rate = np.rad2deg(flights.rate[number, :end, turn.axis], dtype=np.float64)
         amplitude, frequency = swing(flights.motors[number, held], step_s)

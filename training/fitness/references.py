@@ -34,7 +34,7 @@ class References:
         self.course: Course = course(aircraft)
         self._missing = [missing] if missing else []
         if not aircraft.pids:
-            tune = f"neuroflight pid tune --aircraft {named} --write FILE.toml"
+            tune = f"neuroflight pid tune --aircraft {named} --out FILE.toml"
             if betaflight is None:
                 raise AircraftError(
                     f"aircraft {aircraft.name} has no PID to check a policy against, nor flies Betaflight "

@@ -7,58 +7,38 @@ for some control steps in the same way: the noise is held while the network's ow
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.special import betaincinv, ndtr
+
+from neuroflight.sim.arrays import Array32
 
 LOG_SQRT_2_PI = 0.5 * math.log(2.0 * math.pi)
 EDGE = 1e-5  # a drawn share keeps this far from 0 and 1, where its density can be 0
 
-Outputs = NDArray[np.float32]
-
-
-class Exploration(Protocol):
-    """A distribution around the deterministic policy's outputs, with one width for all of them."""
-
-    def drawn(self, centre: Outputs, noise: Outputs, log_std: float) -> Outputs:
-        """Draw outputs around `centre` from standard normal `noise`, all (..., M)."""
-        ...
-
-    def log_prob_drawn(
-        self, drawn: torch.Tensor, centre: torch.Tensor, noise: torch.Tensor, log_std: float
-    ) -> torch.Tensor:
-        """Compute the log density (...) of outputs as `drawn` gave them, summed over the last axis."""
-        ...
-
-    def log_prob(self, drawn: torch.Tensor, centre: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
-        """Compute the log density (...) of outputs around another centre, with its derivative."""
-        ...
-
 
 class NormalExploration:
-    """A normal distribution. Outputs have no bound; the deterministic policy is the mean."""
+    """A normal distribution around the deterministic policy's outputs, with one width for all of them."""
 
-    def drawn(self, centre: Outputs, noise: Outputs, log_std: float) -> Outputs:
-        """See Exploration."""
+    def drawn(self, centre: Array32, noise: Array32, log_std: float) -> Array32:
+        """Draw outputs around `centre` from standard normal `noise`, all (..., M); they have no bound."""
         return centre + noise * np.float32(math.exp(log_std))
 
     def log_prob_drawn(
         self, drawn: torch.Tensor, centre: torch.Tensor, noise: torch.Tensor, log_std: float
     ) -> torch.Tensor:
-        """See Exploration."""
+        """Compute the log density (...) of outputs as `drawn` gave them, summed over the last axis."""
         return -(0.5 * noise.square() + log_std + LOG_SQRT_2_PI).sum(dim=-1)
 
     def log_prob(self, drawn: torch.Tensor, centre: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
-        """See Exploration."""
+        """Compute the log density (...) of outputs around another centre, with its derivative."""
         away = (drawn - centre) * torch.exp(-log_std)
         return -(0.5 * away.square() + log_std + LOG_SQRT_2_PI).sum(dim=-1)
 
 
-class BetaExploration:
-    """A beta distribution. Outputs lie in -1..1; the deterministic policy, tanh of the last sum, is the mode.
+class BetaExploration(NormalExploration):
+    """A beta distribution. Array32 lie in -1..1; the deterministic policy, tanh of the last sum, is the mode.
 
     Chou et al. 2017, whose networks give alpha and beta of the share x = (output + 1) / 2. Here the network
     gives the mode m of x, and the schedule of exploration a concentration k:
@@ -71,21 +51,21 @@ class BetaExploration:
     itself, because no draw can lie beyond.
     """
 
-    def drawn(self, centre: Outputs, noise: Outputs, log_std: float) -> Outputs:
-        """See Exploration."""
+    def drawn(self, centre: Array32, noise: Array32, log_std: float) -> Array32:
+        """See NormalExploration."""
         mode, k = 0.5 * (centre + 1.0), np.float32(concentration(log_std))
         share = betaincinv(1.0 + k * mode, 1.0 + k * (1.0 - mode), ndtr(noise))
-        outputs: Outputs = (2.0 * np.clip(share, EDGE, 1.0 - EDGE) - 1.0).astype(np.float32)
+        outputs: Array32 = (2.0 * np.clip(share, EDGE, 1.0 - EDGE) - 1.0).astype(np.float32)
         return outputs
 
     def log_prob_drawn(
         self, drawn: torch.Tensor, centre: torch.Tensor, noise: torch.Tensor, log_std: float
     ) -> torch.Tensor:
-        """See Exploration."""
+        """See NormalExploration."""
         return self.log_prob(drawn, centre, torch.tensor(log_std))
 
     def log_prob(self, drawn: torch.Tensor, centre: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
-        """See Exploration."""
+        """See NormalExploration."""
         k = concentration(float(log_std.reshape(-1)[0]))
         share, mode = 0.5 * (drawn + 1.0), 0.5 * (centre + 1.0)
         beta = torch.distributions.Beta(1.0 + k * mode, 1.0 + k * (1.0 - mode), validate_args=False)
@@ -101,7 +81,4 @@ def concentration(log_std: float) -> float:
     return max(0.0, math.exp(-2.0 * log_std) - 3.0)
 
 
-EXPLORATIONS: dict[str, type[NormalExploration] | type[BetaExploration]] = {
-    "normal": NormalExploration,
-    "beta": BetaExploration,
-}
+EXPLORATIONS = {"normal": NormalExploration, "beta": BetaExploration}

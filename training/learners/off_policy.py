@@ -18,7 +18,7 @@ from neuroflight.training.config.algorithms import DdpgConfig, OffPolicyConfig, 
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.learners.memory import check_memory
 from neuroflight.training.learners.protocol import Report, named_layers
-from neuroflight.training.learners.sb3 import MODULES, Sb3Learner
+from neuroflight.training.learners.sb3 import Sb3Learner
 
 REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -41,11 +41,8 @@ class OffPolicyLearner(Sb3Learner):
             "gamma": off_policy.discount,
             "train_freq": (1, "step"),
             "gradient_steps": off_policy.gradient_steps,
-            "policy_kwargs": {
-                "net_arch": list(config.hidden),
-                "activation_fn": MODULES[config.activation],
-                "optimizer_kwargs": {"fused": True},  # one call a step instead of ten for each tensor
-            },
+            # Fused: one call a step instead of ten for each tensor.
+            "policy_kwargs": self._networks(optimizer_kwargs={"fused": True}),
             "seed": config.seed,
             "device": "cpu",
         }

@@ -10,7 +10,7 @@ from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.training.config.algorithms import PpoConfig
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.learners.exploration import EXPLORATIONS
-from neuroflight.training.learners.sb3 import MODULES, Sb3Learner
+from neuroflight.training.learners.sb3 import Sb3Learner
 from neuroflight.training.learners.smooth_ppo import Smoothness, SmoothPpo
 
 
@@ -35,11 +35,7 @@ class PpoLearner(Sb3Learner):
             hold=ppo.hold,
             exploration=EXPLORATIONS[ppo.distribution](),
             log_std=lambda: first + (last - first) * self.part,
-            policy_kwargs={
-                "net_arch": list(config.hidden),
-                "activation_fn": MODULES[config.activation],
-                "log_std_init": first,
-            },
+            policy_kwargs=self._networks(log_std_init=first),
             seed=config.seed,
             device="cpu",
             smoothness=Smoothness(

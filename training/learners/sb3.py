@@ -91,6 +91,11 @@ class Sb3Learner:
         """Return the optimizers whose state is kept."""
         raise NotImplementedError
 
+    def _networks(self, **more: Any) -> dict[str, Any]:  # noqa: ANN401 - of Stable-Baselines3's policies
+        """Return the arguments of a policy with the configuration's layers."""
+        layers, kind = list(self._config.hidden), MODULES[self._config.activation]
+        return {"net_arch": layers, "activation_fn": kind, **more}
+
     def _annealed(self, rate: float) -> Callable[[float], float]:
         """Return a learning rate that falls linearly to a tenth over the run, across segments."""
         return lambda _: rate * (1.0 - 0.9 * self.part)

@@ -30,7 +30,7 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
-from neuroflight.training.learners.exploration import BetaExploration, Exploration, NormalExploration
+from neuroflight.training.learners.exploration import BetaExploration, NormalExploration
 
 ADAM_EPS = 1e-5  # Stable-Baselines3's for PPO
 VALUE_SPREAD_MIN = 1e-6
@@ -70,7 +70,7 @@ class SmoothPpo(PPO):
         clip: float,
         log_std: Callable[[], float],
         hold: int,
-        exploration: Exploration | None = None,
+        exploration: NormalExploration | None = None,
         **kwargs: Any,  # noqa: ANN401 - PPO's own
     ) -> None:
         """log_std: schedule of the exploration, called before each update.

@@ -8,7 +8,7 @@ from sb3_contrib import TRPO
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.training.config.algorithms import TrpoConfig
 from neuroflight.training.config.training_config import TrainingConfig
-from neuroflight.training.learners.sb3 import MODULES, Sb3Learner
+from neuroflight.training.learners.sb3 import Sb3Learner
 
 
 class TrpoLearner(Sb3Learner):
@@ -30,11 +30,7 @@ class TrpoLearner(Sb3Learner):
             cg_damping=trpo.cg_damping,
             n_critic_updates=trpo.critic_updates,
             target_kl=trpo.target_kl,
-            policy_kwargs={
-                "net_arch": list(config.hidden),
-                "activation_fn": MODULES[config.activation],
-                "log_std_init": trpo.log_std,
-            },
+            policy_kwargs=self._networks(log_std_init=trpo.log_std),
             seed=config.seed,
             device="cpu",
         )

@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.analysis.metrics import effort, tracking
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.ports.betaflight.build import Betaflight
 from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight
 from neuroflight.sim.ports.betaflight.tune import Tune
@@ -33,16 +33,17 @@ from neuroflight.training.pid_tuning.cma_es import CmaEs
 from neuroflight.training.pid_tuning.trial import (
     MARGIN,
     PENALTY,
+    Trial,
+    Tuning,
     held_commands,
     missed,
     throttles,
     training_commands,
+    without_bias,
 )
 from neuroflight.training.pid_tuning.tuner import POPULATION, MakeTuner, search
 from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Setpoints, held
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 Settings = Mapping[str, int]
 
 SPREAD = 0.3  # standard deviation of the search's first points
@@ -62,67 +63,39 @@ class Knob:
 
 
 GAIN_MAX = 250  # of P, I and D
-P_AND_I, I_GAIN, D_GAIN, PITCH, YAW, GYRO, D_TERM = (
-    "P and I",
-    "I",
-    "D",
-    "pitch over roll",
-    "yaw",
-    "gyro filter",
-    "D-term filter",
-)
-KNOBS = {  # those in capitals are factors of the defaults
-    P_AND_I: Knob(1.0, 0.1, 4.0),  # of roll and pitch
-    I_GAIN: Knob(1.0, 0.1, 4.0),  # of roll and pitch, once more
-    D_GAIN: Knob(1.0, 0.1, 4.0),
-    PITCH: Knob(1.0, 0.3, 3.0),
-    YAW: Knob(1.0, 0.1, 4.0),  # P and I
-    GYRO: Knob(1.0, 0.25, 2.0),  # at 2 the highest corner reaches Betaflight's limit of 1 kHz
-    D_TERM: Knob(1.0, 0.25, 2.0),
+KNOBS = {  # the first seven are factors of the defaults
+    "P and I": Knob(1.0, 0.1, 4.0),  # of roll and pitch
+    "I": Knob(1.0, 0.1, 4.0),  # of roll and pitch, once more
+    "D": Knob(1.0, 0.1, 4.0),
+    "pitch over roll": Knob(1.0, 0.3, 3.0),
+    "yaw": Knob(1.0, 0.1, 4.0),  # P and I
+    "gyro filter": Knob(1.0, 0.25, 2.0),  # at 2 the highest corner reaches Betaflight's limit of 1 kHz
+    "D-term filter": Knob(1.0, 0.25, 2.0),
     "iterm_relax_cutoff": Knob(15, 1, 50),
     "tpa_rate": Knob(65, 0, 100, logarithmic=False),
     "thrust_linear": Knob(0, 0, 150, logarithmic=False),
 }
 PLAIN = ("iterm_relax_cutoff", "tpa_rate", "thrust_linear")
 SCALED = {  # defaults of Betaflight 4.6, as its `dump` says, and the knobs that scale them
-    **{
-        "p_roll": (45, (P_AND_I,)),
-        "i_roll": (80, (P_AND_I, I_GAIN)),
-        "d_roll": (30, (D_GAIN,)),
-        "d_max_roll": (40, (D_GAIN,)),
-    },
-    **{"p_pitch": (47, (P_AND_I, PITCH)), "i_pitch": (84, (P_AND_I, I_GAIN, PITCH))},
-    **{"d_pitch": (34, (D_GAIN, PITCH)), "d_max_pitch": (46, (D_GAIN, PITCH))},
-    **{"p_yaw": (45, (YAW,)), "i_yaw": (80, (YAW,))},
-    **{"gyro_lpf1_static_hz": (250, (GYRO,)), "gyro_lpf1_dyn_min_hz": (250, (GYRO,))},
-    **{"gyro_lpf1_dyn_max_hz": (500, (GYRO,)), "gyro_lpf2_static_hz": (500, (GYRO,))},
-    **{"dterm_lpf1_static_hz": (75, (D_TERM,)), "dterm_lpf1_dyn_min_hz": (75, (D_TERM,))},
-    **{"dterm_lpf1_dyn_max_hz": (150, (D_TERM,)), "dterm_lpf2_static_hz": (150, (D_TERM,))},
+    "p_roll": (45, ("P and I",)),
+    "i_roll": (80, ("P and I", "I")),
+    "d_roll": (30, ("D",)),
+    "d_max_roll": (40, ("D",)),
+    "p_pitch": (47, ("P and I", "pitch over roll")),
+    "i_pitch": (84, ("P and I", "I", "pitch over roll")),
+    "d_pitch": (34, ("D", "pitch over roll")),
+    "d_max_pitch": (46, ("D", "pitch over roll")),
+    "p_yaw": (45, ("yaw",)),
+    "i_yaw": (80, ("yaw",)),
+    "gyro_lpf1_static_hz": (250, ("gyro filter",)),
+    "gyro_lpf1_dyn_min_hz": (250, ("gyro filter",)),
+    "gyro_lpf1_dyn_max_hz": (500, ("gyro filter",)),
+    "gyro_lpf2_static_hz": (500, ("gyro filter",)),
+    "dterm_lpf1_static_hz": (75, ("D-term filter",)),
+    "dterm_lpf1_dyn_min_hz": (75, ("D-term filter",)),
+    "dterm_lpf1_dyn_max_hz": (150, ("D-term filter",)),
+    "dterm_lpf2_static_hz": (150, ("D-term filter",)),
 }
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Settings and their figures on the training commands; none: Betaflight's defaults."""
-
-    settings: Settings
-    mae: float  # [deg/s], mean of the axes
-    change: float  # of the motor values in 1 ms
-    held: float  # mean excess over the band at the end of large commands, 0..1
-    cost: float  # [deg/s], as a PID's: see training/pid_tuning/trial.py
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """The course and result of a search."""
-
-    defaults: Trial
-    trials: tuple[Trial, ...]  # of the search, in the order flown
-    best: Trial
-    interrupted: bool
-
-
-Progress = Callable[[int, Trial], None]  # candidates flown so far, and the best of them
 
 
 def tune_betaflight(
@@ -132,9 +105,9 @@ def tune_betaflight(
     *,
     seed: int,
     budget: int,
-    progress: Progress,
+    progress: Callable[[int, Trial[Settings]], None],
     tuner: MakeTuner = CmaEs,
-) -> Tuning:
+) -> Tuning[Settings]:
     """Search settings of least cost with about `budget` candidates (whole generations) of COMMANDS pulses
     each.
 
@@ -144,18 +117,16 @@ def tune_betaflight(
     fails.
     """
     draw, rng, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, 1]).spawn(3))
-    unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
     pulses, levels = training_commands(COMMANDS, draw), throttles(COMMANDS, THROTTLE_MAX, thrust)
-    flights = _Flights(built, unbiased, change, seed, pulses, levels, held_commands())
+    flights = _Flights(built, without_bias(aircraft), change, seed, pulses, levels, held_commands())
     (defaults,) = flights.fly([{}])
-    trials, best, interrupted = search(
+    return search(
         tuner(start(), np.full(len(KNOBS), SPREAD), POPULATION, rng),
         lambda points: flights.fly([decoded(point) for point in points]),
         defaults,
         budget,
         progress,
     )
-    return Tuning(defaults, tuple(trials), best, interrupted)
 
 
 def start() -> Array:
@@ -191,7 +162,7 @@ class _Flights:
     throttle: Array32  # (n,), 0..1
     large: Array  # (m, 3) [rad/s], held
 
-    def fly(self, candidates: Sequence[Settings]) -> list[Trial]:
+    def fly(self, candidates: Sequence[Settings]) -> list[Trial[Settings]]:
         """Fly each of the candidates. Large commands are flown at half of the greatest throttle."""
         half = np.full(len(self.large), THROTTLE_MAX / 2, np.float32)
         throttle = np.concatenate([self.throttle, half])
@@ -222,7 +193,7 @@ class _Flights:
     def _arm(self, settings: Settings) -> ArmedBetaflight:
         return ArmedBetaflight(self.built, self.aircraft, as_tune(settings) if settings else None)
 
-    def _trial(self, settings: Settings, flown: Flights) -> Trial:
+    def _trial(self, settings: Settings, flown: Flights) -> Trial[Settings]:
         pulses = len(self.commands)
         pulsed, large = _rows(flown, 0, pulses), _rows(flown, pulses, len(self.large))
         assert pulsed.motors is not None

@@ -11,15 +11,14 @@ bias is set to 0: no controller can observe it, and the firmware calibrates it a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings
 from neuroflight.sim.analysis.metrics import effort, tracking
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.control.motors import throttle_mix
 from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.control.pid_table import mixer
@@ -30,29 +29,24 @@ from neuroflight.training.pid_tuning.trial import (
     PENALTY,
     RATE_HZ,
     Limits,
-    Pulses,
     Trial,
+    Trials,
     held_commands,
     missed,
     training_commands,
+    without_bias,
 )
-from neuroflight.training.pid_tuning.ultimate_gain import Steps
-from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Task
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
+from neuroflight.training.tasks.task import EpisodicTask, GivenCommands, PulseTask
 
 OUTPUT, CHANGE = 0.12, 0.012  # limits of the mean output and of its mean |change| in 1 ms
 COMMANDS = 12  # pulses that each candidate flies
 
 
 @dataclass(frozen=True, eq=False)
-class DissertationTrials:
+class DissertationTrials(Trials):
     """The flights that every candidate of a search makes."""
 
-    mix: ClassVar[Mix] = Mix.ATTITUDE_FIRST
-    gyro_mean: ClassVar[bool] = False
-    idle: ClassVar[float | None] = None  # searched
+    mix, gyro_mean, idle = Mix.ATTITUDE_FIRST, False, None
 
     aircraft: Aircraft  # its gyro without bias
     limits: Limits
@@ -64,17 +58,16 @@ class DissertationTrials:
         aircraft: Aircraft, limits: Limits, seed: int, rng: np.random.Generator, commands: int = COMMANDS
     ) -> DissertationTrials:
         """Make the trials of a seed; rng: of the commands."""
-        unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
-        return DissertationTrials(unbiased, limits, seed, training_commands(commands, rng))
+        return DissertationTrials(without_bias(aircraft), limits, seed, training_commands(commands, rng))
 
-    def fly(self, candidates: Sequence[PidSettings]) -> list[Trial]:
+    def fly(self, candidates: Sequence[PidSettings]) -> list[Trial[PidSettings]]:
         """See Trials."""
-        pulsed = self._flown(candidates, self.commands, lambda rows: Pulses(rows, PulseTask()))
-        held = self._flown(candidates, held_commands(), lambda rows: Steps(rows, EpisodicTask().hold_s))
+        pulsed = self._flown(candidates, self.commands, PulseTask())
+        held = self._flown(candidates, held_commands(), EpisodicTask())
         return [self._trial(*flown) for flown in zip(candidates, pulsed, held, strict=True)]
 
     def _flown(
-        self, candidates: Sequence[PidSettings], commands: Array, task: Callable[[Array], Task]
+        self, candidates: Sequence[PidSettings], commands: Array, task: PulseTask | EpisodicTask
     ) -> list[Flights]:
         """Fly each candidate through `commands` (m, 3); return the flights with the controllers' outputs."""
         count, each = len(candidates), len(commands)
@@ -84,7 +77,7 @@ class DissertationTrials:
         flown = record(
             motors,
             self.aircraft,
-            task(np.tile(commands, (count, 1))),
+            GivenCommands(task, np.tile(commands, (count, 1))),
             episodes=len(crowd),
             seed=self.seed,
             control_rate_hz=RATE_HZ,
@@ -93,7 +86,7 @@ class DissertationTrials:
         rows = [slice(start, start + each) for start in range(0, len(crowd), each)]
         return [Flights(flown.setpoint[r], flown.rate[r], output[r], flown.step_s) for r in rows]
 
-    def _trial(self, settings: PidSettings, pulsed: Flights, held: Flights) -> Trial:
+    def _trial(self, settings: PidSettings, pulsed: Flights, held: Flights) -> Trial[PidSettings]:
         limits = self.limits
         mae = float(tracking(pulsed.setpoint, pulsed.rate, pulsed.step_s).mae.mean())
         outputs = effort(pulsed.output, pulsed.step_s)

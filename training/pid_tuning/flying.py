@@ -18,28 +18,26 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.control.gyro_mean import samples_per_step
 from neuroflight.sim.control.pid_table import mixer, settings_table
 from neuroflight.sim.physics.rotor import response_rows, target_speed, thrust_and_torque
 from neuroflight.toolchain.contract import GRAVITY, Mix
 from neuroflight.toolchain.rendering.pid_table import pid_gains
 from neuroflight.training.config.training_config import OutputMap
+from neuroflight.training.learners.network.library import load, pointer
 from neuroflight.training.learners.network.shape import Shape
 from neuroflight.training.learners.pathwise.flights import LANES
-from neuroflight.training.learners.pathwise.library import library, pointer
 from neuroflight.training.learners.pathwise.loss import Weights
 from neuroflight.training.learners.pathwise.plan import Surroundings
-from neuroflight.training.pid_tuning.trial import MARGIN, RATE_HZ, Limits, Trial, training_commands
+from neuroflight.training.pid_tuning.trial import MARGIN, RATE_HZ, Limits, Trial, Trials, training_commands
 from neuroflight.training.tasks.task import PulseTask
-
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 
 IDLE = 0.055  # motor fraction without thrust: Betaflight's default, a few percent of the weight
 CHANGE = 0.0045  # mean |change| of a motor value in 1 ms; Betaflight's defaults make 0.002 to 0.004
@@ -86,11 +84,10 @@ def throttle_for(aircraft: Aircraft, level: float, idle: float) -> float:
     return float(np.interp(level, lifted, throttle))
 
 
-class FlyingTrials:
+class FlyingTrials(Trials):
     """The flights that every candidate of a search makes."""
 
-    mix: ClassVar[Mix] = Mix.CENTRED
-    gyro_mean: ClassVar[bool] = True
+    mix, gyro_mean = Mix.CENTRED, True
 
     def __init__(
         self, aircraft: Aircraft, limits: Limits, rng: np.random.Generator, pulses: int = PULSES
@@ -112,13 +109,13 @@ class FlyingTrials:
             model=None,
             shape=Shape((1, aircraft.motor_count), "tanh", OutputMap()),  # of a policy; none flies
         )
-        self._library = library()
+        self._library = load("pathwise", "float32")
         self._plan = surroundings.plan(Weights(0.0, 0.0, 0.0), battery=False, number="float32")
         self._arrays = _rows(aircraft, flights, setpoint, self.idle, surroundings.dt, rng)
         self._block = self._struct("block", self._arrays)
         self.moment = _moments(aircraft, flights)
 
-    def fly(self, candidates: Sequence[PidSettings]) -> list[Trial]:
+    def fly(self, candidates: Sequence[PidSettings]) -> list[Trial[PidSettings]]:
         """See Trials."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return list(pool.map(self._trial, candidates))
@@ -140,7 +137,7 @@ class FlyingTrials:
         absolute, square, (change,) = np.split(flown.astype(np.float64), [3, 6])
         return np.rad2deg(absolute.mean(axis=0)), np.rad2deg(np.rad2deg(square.mean(axis=0))), change
 
-    def _trial(self, settings: PidSettings) -> Trial:
+    def _trial(self, settings: PidSettings) -> Trial[PidSettings]:
         mae, mse, change = self.figures(settings)
         filed = slice(len(AS_FILED))
         moved = float(change[filed].mean())

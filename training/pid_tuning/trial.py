@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import ClassVar, Protocol
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings
 from neuroflight.sim.analysis.response import BAND, FLOOR_DEG_S
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.contract import Mix
 from neuroflight.training.evaluation.evaluation import Flights
-from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Setpoints
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask
 
-Array = NDArray[np.float64]
+Settings = TypeVar("Settings")
 
 RATE_HZ = 1000  # of the control loop
 PENALTY = 20.0  # [deg/s] for a limit exceeded by itself
@@ -37,10 +38,10 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Trial:
+class Trial(Generic[Settings]):
     """Settings and their figures on the training commands."""
 
-    settings: PidSettings
+    settings: Settings
     mae: float  # [deg/s], mean of the axes
     change: float  # of what the limit is of
     cost: float  # [deg/s]
@@ -48,55 +49,39 @@ class Trial:
     held: float = 0.0  # mean excess over the band at the end of large commands, 0..1, where it counts
 
 
-class Trials(Protocol):
-    """The flights that every candidate of a search makes, and the terms that it flies by."""
+@dataclass(frozen=True)
+class Tuning(Generic[Settings]):
+    """The course and result of a search."""
 
-    @property
-    def aircraft(self) -> Aircraft:
-        """Aircraft that is flown."""
-        ...
+    start: Trial[Settings]  # what the search begins with
+    trials: tuple[Trial[Settings], ...]  # of the search, in the order flown
+    best: Trial[Settings]
+    interrupted: bool
 
-    @property
-    def limits(self) -> Limits:
-        """The limits that a candidate must keep."""
-        ...
 
-    @property
-    def mix(self) -> Mix:
-        """The mix of every candidate's outputs with the throttle."""
-        ...
+class Trials:
+    """The flights that every candidate PID of a search makes, and the terms that it flies by."""
 
-    @property
-    def gyro_mean(self) -> bool:
-        """True where candidates see the mean of the gyro's samples of a control period."""
-        ...
+    aircraft: Aircraft
+    limits: Limits
+    mix: Mix  # of every candidate's outputs with the throttle
+    gyro_mean: bool  # whether candidates see the mean of the gyro's samples of a control period
+    idle: float | None  # of every candidate; None: it is searched, up to its limit
 
-    @property
-    def idle(self) -> float | None:
-        """The idle of every candidate; None: it is searched, up to its limit."""
-        ...
-
-    def fly(self, candidates: Sequence[PidSettings]) -> list[Trial]:
+    def fly(self, candidates: Sequence[PidSettings]) -> list[Trial[PidSettings]]:
         """Return the figures of each candidate."""
-        ...
+        raise NotImplementedError
 
 
-@dataclass(frozen=True, eq=False)
-class Pulses:
-    """The pulse task with these commands."""
+def streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """Return the random numbers of a seed: those of trials' commands and noise, and those of the search."""
+    draw, search = (np.random.default_rng(part) for part in np.random.SeedSequence([seed, 1]).spawn(2))
+    return draw, search
 
-    name: ClassVar[str] = "pulse"
-    commands: Array  # (N, 3) [rad/s]
-    pulse: PulseTask
 
-    @property
-    def duration_s(self) -> float:
-        """See Task."""
-        return self.pulse.duration_s
-
-    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
-        """See Task."""
-        return self.pulse.of(self.commands, rate_hz)
+def without_bias(aircraft: Aircraft) -> Aircraft:
+    """Return the aircraft with a gyro without bias: firmware calibrates it away, no controller sees it."""
+    return replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
 
 
 def training_commands(count: int, rng: np.random.Generator) -> Array:

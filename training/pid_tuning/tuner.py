@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.pid_tuning.trial import Settings, Trial, Tuning
 from neuroflight.training.plugins import blaming, users_class
 
-Array = NDArray[np.float64]
 POPULATION = 12  # candidates of a generation; the usual number for 11 settings
 CANDIDATES_MAX = 1000  # of an `ask`
 
@@ -32,32 +32,20 @@ class Tuner(Protocol):
 MakeTuner = Callable[[Array, Array, int, np.random.Generator], Tuner]
 
 
-class Costed(Protocol):
-    """A candidate that was flown."""
-
-    @property
-    def cost(self) -> float:
-        """Cost to be minimised."""
-        ...
-
-
-Flown = TypeVar("Flown", bound=Costed)
-
-
 def search(
     tuner: Tuner,
-    fly: Callable[[Array], Sequence[Flown]],
-    first: Flown,
+    fly: Callable[[Array], Sequence[Trial[Settings]]],
+    first: Trial[Settings],
     budget: int,
-    progress: Callable[[int, Flown], None],
-) -> tuple[list[Flown], Flown, bool]:
-    """Return about `budget` candidates, in whole generations, the best, and whether it was interrupted.
+    progress: Callable[[int, Trial[Settings]], None],
+) -> Tuning[Settings]:
+    """Search about `budget` candidates, in whole generations.
 
-    fly: points (n, d) to what was flown; first: what the best must beat. An interruption (KeyboardInterrupt)
-    ends the search and keeps the best so far.
+    fly: points (n, d) to what was flown; first: what the best must beat; progress: is told the number flown
+    so far and the best of them. An interruption (KeyboardInterrupt) ends the search and keeps the best.
     """
-    flown: list[Flown] = []
-    best = first
+    flown: list[Trial[Settings]] = []
+    best, interrupted = first, False
     try:
         while not flown or len(flown) + POPULATION / 2 < budget:
             points = tuner.ask()
@@ -67,8 +55,8 @@ def search(
             best = min([best, *generation], key=lambda each: each.cost)
             progress(len(flown), best)
     except KeyboardInterrupt:
-        return flown, best, True
-    return flown, best, False
+        interrupted = True
+    return Tuning(first, tuple(flown), best, interrupted)
 
 
 def load_tuner(name: str) -> MakeTuner:

@@ -7,18 +7,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import Vector
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.training.pid_tuning.cma_es import CmaEs
-from neuroflight.training.pid_tuning.trial import RATE_HZ, Trial, Trials
+from neuroflight.training.pid_tuning.trial import RATE_HZ, Trial, Trials, Tuning
 from neuroflight.training.pid_tuning.tuner import POPULATION, MakeTuner, search
 from neuroflight.training.pid_tuning.ultimate_gain import RULES, UltimateGain, ultimate_gains
-
-Array = NDArray[np.float64]
 
 IDLE_START = 0.1
 IDLE_WEIGHT_MAX = 0.75  # thrust of all idling rotors in parts of the weight; more would hardly let it sink
@@ -36,24 +34,11 @@ SPREAD_GAIN, SPREAD_INTEGRAL = 0.3, 0.6  # standard deviation of the search's fi
 
 
 @dataclass(frozen=True)
-class Tuning:
-    """The course and result of a search."""
+class PidTuning(Tuning[PidSettings]):
+    """A PID's search, which begins with the best of the rules and of parts of them."""
 
     ultimate_gains: tuple[UltimateGain, UltimateGain, UltimateGain]  # roll, pitch, yaw
-    rules: dict[str, Trial]  # the rules of Ziegler and Nichols and their successors, by name
-    start: Trial  # first mean of the search: the best of the rules and of parts of them
-    trials: tuple[Trial, ...]  # of the search, in the order flown
-    best: Trial
-    interrupted: bool
-
-
-Progress = Callable[[int, Trial], None]  # candidates flown so far, and the best of them
-
-
-def streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Return the random numbers of a seed: those of trials' commands and noise, and those of the search."""
-    draw, search = (np.random.default_rng(part) for part in np.random.SeedSequence([seed, 1]).spawn(2))
-    return draw, search
+    rules: dict[str, Trial[PidSettings]]  # of Ziegler and Nichols and their successors, by name
 
 
 def tune(
@@ -61,10 +46,10 @@ def tune(
     *,
     budget: int,
     rng: np.random.Generator,
-    progress: Progress,
+    progress: Callable[[int, Trial[PidSettings]], None],
     begin: Sequence[PidSettings] = (),
     tuner: MakeTuner = CmaEs,
-) -> Tuning:
+) -> PidTuning:
     """Return the settings of least cost after about `budget` candidates, in whole generations.
 
     rng: of the search; begin: settings that it may begin with, if they cost less than every rule; tuner: what
@@ -73,13 +58,13 @@ def tune(
     The same arguments give the same settings. An interruption (KeyboardInterrupt) during the search ends it
     and keeps the best so far. Raises TrainingError on an aircraft that no gain makes oscillate.
     """
-    found = ultimate_gains(trials.aircraft, min(IDLE_START, trials.limits.idle), RATE_HZ)
+    gains = ultimate_gains(trials.aircraft, min(IDLE_START, trials.limits.idle), RATE_HZ)
     space = _Space(
         trials=trials,
-        most=np.array([item.scaled(MOST) for item in found]),
+        most=np.array([item.scaled(MOST) for item in gains]),
         cutoff_max_hz=CUTOFF_NYQUIST_MAX * RATE_HZ / 2,
     )
-    begun = [space.rule(found, rule, *part) for part in STARTS for rule in RULES]
+    begun = [space.rule(gains, rule, *part) for part in STARTS for rule in RULES]
     begun += [space.decoded(space.encoded(settings)) for settings in begin]
     starts = trials.fly(begun)
     rules = dict(zip(RULES, starts, strict=False))
@@ -87,14 +72,14 @@ def tune(
     at = space.encoded(first.settings)
     spread = np.full(len(at), SPREAD_GAIN)
     spread[3:6] = SPREAD_INTEGRAL
-    flown, best, interrupted = search(
+    found = search(
         tuner(at, spread, POPULATION, rng),
         lambda points: trials.fly([space.decoded(point) for point in points]),
         first,
         budget,
         progress,
     )
-    return Tuning(found, rules, first, tuple(flown), best, interrupted)
+    return PidTuning(**vars(found), ultimate_gains=gains, rules=rules)
 
 
 def idle_limit(aircraft: Aircraft) -> float:

@@ -5,18 +5,17 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings
 from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.control.pid_table import mixer
-from neuroflight.sim.plotting import FLIGHT_COLOURS, GRID, INK, dress, titled_figure
+from neuroflight.sim.plotting import FLIGHT_COLOURS, GRID, INK, dress, log_numbers, titled_figure
 from neuroflight.toolchain.contract import AXES
 from neuroflight.training.evaluation.evaluation import record
-from neuroflight.training.pid_tuning.trial import RATE_HZ, Limits, Pulses, Trial
-from neuroflight.training.pid_tuning.tuning import Tuning
-from neuroflight.training.tasks.task import PulseTask
+from neuroflight.training.pid_tuning.trial import RATE_HZ, Limits, Trial
+from neuroflight.training.pid_tuning.tuning import PidTuning
+from neuroflight.training.tasks.task import GivenCommands, PulseTask
 
 STEP_DEG_S = 100.0  # drawn step, on one axis at a time
 SHOWN_S = 0.5
@@ -24,7 +23,7 @@ START_COLOUR, BEST_COLOUR = FLIGHT_COLOURS[1], FLIGHT_COLOURS[0]
 OUTSIDE = "#b3bac4"  # candidates that exceed a limit
 
 
-def draw_tuning(tuning: Tuning, aircraft: Aircraft, limits: Limits, throttle: float, title: str) -> Figure:
+def draw_tuning(tuning: PidTuning, aircraft: Aircraft, limits: Limits, throttle: float, title: str) -> Figure:
     """Draw steps with the gains of the start and the best at `throttle`; below, all candidates."""
     figure = titled_figure((12, 7.5), title)
     grid = figure.add_gridspec(2, 3)
@@ -57,7 +56,7 @@ def _responses(
     flights = record(
         Pid(mixer(aircraft), settings, 3, RATE_HZ),
         aircraft,
-        Pulses(np.deg2rad(STEP_DEG_S) * np.eye(3), task),
+        GivenCommands(task, np.deg2rad(STEP_DEG_S) * np.eye(3)),
         episodes=3,
         seed=0,
         control_rate_hz=RATE_HZ,
@@ -72,7 +71,7 @@ def _responses(
     return t, np.rad2deg(stepped.astype(np.float64))
 
 
-def _draw_search(panel: Axes, tuning: Tuning, limits: Limits) -> None:
+def _draw_search(panel: Axes, tuning: PidTuning, limits: Limits) -> None:
     """Draw the MAE of every candidate, and the least so far among those within the limits."""
     mae = np.array([trial.mae for trial in tuning.trials])
     kept = np.array([_keeps(trial, limits) for trial in tuning.trials], bool)
@@ -84,7 +83,7 @@ def _draw_search(panel: Axes, tuning: Tuning, limits: Limits) -> None:
         panel.plot(number, best, color=INK, lw=1.2, label="least so far")
         panel.set_ylim(0.9 * mae[kept].min(), 8 * mae[kept].min())
     panel.set_yscale("log")
-    _plain(panel)
+    log_numbers(panel.yaxis)
     dress(panel, "search")
     panel.set_xlabel("candidate", color=INK)
     panel.set_ylabel("MAE, deg/s", color=INK)
@@ -92,7 +91,7 @@ def _draw_search(panel: Axes, tuning: Tuning, limits: Limits) -> None:
     panel.legend(loc="upper right", fontsize=9, facecolor="white", edgecolor=GRID, markerscale=2)
 
 
-def _draw_limit(panel: Axes, tuning: Tuning, limits: Limits) -> None:
+def _draw_limit(panel: Axes, tuning: PidTuning, limits: Limits) -> None:
     """Draw the MAE of the candidates against the change of their outputs."""
     kept = [trial for trial in tuning.trials if _keeps(trial, limits)]
     outside = [trial for trial in tuning.trials if not _keeps(trial, limits)]
@@ -105,19 +104,11 @@ def _draw_limit(panel: Axes, tuning: Tuning, limits: Limits) -> None:
     panel.set_yscale("log")
     panel.set_ylim(0.9 * best.mae, 8 * best.mae)
     panel.set_xlim(0, 2e2 * limits.change)
-    _plain(panel)
+    log_numbers(panel.yaxis)
     dress(panel, "MAE against |Δu|; dashed: its limit")
     of = "motor values" if limits.of_motors else "outputs"
     panel.set_xlabel(f"mean |Δu| of the {of} in 1 ms, % of the range", color=INK)
 
 
-def _plain(panel: Axes) -> None:
-    """Label a logarithmic axis with numbers like 2 and 5."""
-    low, high = panel.get_ylim()
-    panel.set_yticks([tick for tick in (0.5, 1, 2, 3, 5, 10, 20, 30, 50, 100) if low <= tick <= high])
-    panel.yaxis.set_major_formatter(ScalarFormatter())
-    panel.minorticks_off()
-
-
-def _keeps(trial: Trial, limits: Limits) -> bool:
+def _keeps(trial: Trial[PidSettings], limits: Limits) -> bool:
     return trial.output <= limits.output and trial.change <= limits.change

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import Vector
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.control.pid_table import mixer
 from neuroflight.toolchain.contract import AXES
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.toolchain.rendering.pid_table import SCALE
 from neuroflight.training.evaluation.evaluation import record
-from neuroflight.training.tasks.task import Setpoints, held
-
-Array = NDArray[np.float64]
+from neuroflight.training.tasks.task import EpisodicTask, GivenCommands
 
 STEP_MAX_DEG_S = 100.0  # of the axis; the other two rest without control
 STEP_OUTPUT = 0.3  # greatest first output; larger gains get smaller steps, so that no motor saturates
@@ -51,19 +49,6 @@ class UltimateGain:
         """Compute K_P, K_I, K_D: `parts` times K_u, K_u / T_u and K_u T_u."""
         p, i, d = parts
         return p * self.gain, i * self.gain / self.period, d * self.gain * self.period
-
-
-@dataclass(frozen=True, eq=False)
-class Steps:
-    """A step from rest for each aircraft, held to the end."""
-
-    name: ClassVar[str] = "steps"
-    command: Array  # (N, 3) [rad/s]
-    duration_s: float
-
-    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
-        """See Task."""
-        return held(self.command, self.duration_s, rate_hz)
 
 
 def ultimate_gains(
@@ -111,7 +96,7 @@ def _oscillations(
     recording = record(
         Pid(mixer(aircraft), settings, len(gains), control_rate_hz),
         aircraft,
-        Steps(command, SETTLE_S + 2 * WINDOW_S),
+        GivenCommands(EpisodicTask(hold_s=SETTLE_S + 2 * WINDOW_S), command),
         episodes=len(gains),
         seed=0,
         control_rate_hz=control_rate_hz,

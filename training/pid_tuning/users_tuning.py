@@ -9,51 +9,36 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.analysis.metrics import effort, tracking
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.control.controller import Controller
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.evaluation.evaluation import Flights, record
 from neuroflight.training.evaluation.users_controller import Parameter, UsersController
 from neuroflight.training.pid_tuning.cma_es import CmaEs
 from neuroflight.training.pid_tuning.flying import LEVELS, PENALTY, throttle_for
-from neuroflight.training.pid_tuning.trial import MARGIN, Pulses, training_commands
+from neuroflight.training.pid_tuning.trial import (
+    MARGIN,
+    Trial,
+    Tuning,
+    streams,
+    training_commands,
+    without_bias,
+)
 from neuroflight.training.pid_tuning.tuner import POPULATION, MakeTuner, search
 from neuroflight.training.pid_tuning.tuning import significant
-from neuroflight.training.tasks.task import PulseTask
+from neuroflight.training.tasks.task import GivenCommands, PulseTask
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 Values = Mapping[str, float]
 
 COMMANDS = 12  # pulses that each candidate flies, three at each thrust
 SPREAD = 0.2  # standard deviation of the search's first points, of each parameter's range
 BROAD = 10.0  # ratio of a range above which it is searched by its logarithm
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Values of the parameters and their figures on the training commands."""
-
-    values: Values
-    mae: float  # [deg/s], mean of the axes
-    change: float  # of the motor values in 1 ms
-    cost: float  # [deg/s]
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """The course and result of a search."""
-
-    start: Trial  # as the class says
-    trials: tuple[Trial, ...]  # of the search, in the order flown
-    best: Trial
-    interrupted: bool
 
 
 def tune_users(
@@ -64,32 +49,29 @@ def tune_users(
     names: Sequence[str],
     seed: int,
     budget: int,
-    progress: Callable[[int, Trial], None],
+    progress: Callable[[int, Trial[Values]], None],
     tuner: MakeTuner = CmaEs,
-) -> Tuning:
+) -> Tuning[Values]:
     """Search values of least cost of the parameters `names` with about `budget` candidates.
 
     change: the most that a motor value may change in 1 ms on average, fraction; tuner: of the search. The
     same arguments give the same values. names: see `check_names`.
     """
     check_names(controller, names)
-    draw, rng = (np.random.default_rng(part) for part in np.random.SeedSequence([seed, 1]).spawn(2))
-    unbiased = replace(aircraft, gyro=replace(aircraft.gyro, bias=0.0))
-    flights = _Flights(controller, unbiased, change, seed, training_commands(COMMANDS, draw))
+    draw, rng = streams(seed)
+    flights = _Flights(controller, without_bias(aircraft), change, seed, training_commands(COMMANDS, draw))
     parameters = {name: controller.parameters[name] for name in names}
     (start,) = flights.fly([controller.values])
     at = np.array([_encoded(each, controller.values[name]) for name, each in parameters.items()])
 
-    def fly(points: Array) -> list[Trial]:
+    def fly(points: Array) -> list[Trial[Values]]:
         decoded = [
             {name: _decoded(each, x) for (name, each), x in zip(parameters.items(), point, strict=True)}
             for point in points.tolist()
         ]
         return flights.fly([{**controller.values, **values} for values in decoded])
 
-    found = search(tuner(at, np.full(len(at), SPREAD), POPULATION, rng), fly, start, budget, progress)
-    trials, best, interrupted = found
-    return Tuning(start, tuple(trials), best, interrupted)
+    return search(tuner(at, np.full(len(at), SPREAD), POPULATION, rng), fly, start, budget, progress)
 
 
 def check_names(controller: UsersController, names: Sequence[str]) -> None:
@@ -133,14 +115,14 @@ class _Flights:
     seed: int  # of the gyro's noise
     commands: Array  # (n, 3) [rad/s], of the pulses
 
-    def fly(self, candidates: Sequence[Values]) -> list[Trial]:
+    def fly(self, candidates: Sequence[Values]) -> list[Trial[Values]]:
         """Return the figures of each of the candidates."""
         spec, count, each = self.controller, len(candidates), len(self.commands)
         throttle = np.array([throttle_for(self.aircraft, level, spec.idle) for level in LEVELS], np.float32)
         flown = record(
             _Crowd([spec.build(self.aircraft, each, values) for values in candidates], each),
             self.aircraft,
-            Pulses(np.tile(self.commands, (count, 1)), PulseTask()),
+            GivenCommands(PulseTask(), np.tile(self.commands, (count, 1))),
             episodes=count * each,
             seed=self.seed,
             control_rate_hz=spec.control_rate_hz,
@@ -153,7 +135,7 @@ class _Flights:
         rows = [slice(first, first + each) for first in range(0, count * each, each)]
         return [self._trial(values, flown, r) for values, r in zip(candidates, rows, strict=True)]
 
-    def _trial(self, values: Values, flown: Flights, rows: slice) -> Trial:
+    def _trial(self, values: Values, flown: Flights, rows: slice) -> Trial[Values]:
         assert flown.motors is not None
         errors = tracking(flown.setpoint[rows], flown.rate[rows], flown.step_s)
         mae, mse = errors.mae.mean(axis=1), errors.mse.mean(axis=1)

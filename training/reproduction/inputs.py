@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from neuroflight.sim.aircraft.model import FOLDER as AIRCRAFT
+from neuroflight.sim.aircraft.model import over_base
+from neuroflight.toolchain.errors import AircraftError
 from neuroflight.training.config.config_file import FOLDER as RECIPES
 
 DIGITS = 16  # of a SHA-256
@@ -20,7 +22,7 @@ SHIPPED = {"--config": RECIPES, "--aircraft": AIRCRAFT}  # by option: where the 
 
 def inputs(words: Sequence[str], root: Path) -> dict[str, str]:
     """Return a digest of each file that words name, by its path in `root`; recipes and aircraft
-    that come with the project are such files too. Comments in TOML do not count.
+    that come with the project are such files too. Comments in TOML do not count, an aircraft's `base` does.
 
     Files that an input names in its turn (a mesh of an aircraft) and the program itself are not looked at.
     """
@@ -42,6 +44,7 @@ def changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
 def _digest(path: Path) -> str:
     data = path.read_bytes()
     if path.suffix == ".toml":
-        with contextlib.suppress(ValueError):  # damaged TOML: the command itself raises the error
-            data = json.dumps(tomllib.loads(data.decode()), sort_keys=True, default=str).encode()
+        with contextlib.suppress(ValueError, AircraftError):  # a damaged file: the command raises the error
+            document = over_base(tomllib.loads(data.decode()), str(path))
+            data = json.dumps(document, sort_keys=True, default=str).encode()
     return hashlib.sha256(data).hexdigest()[:DIGITS]

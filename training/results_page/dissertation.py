@@ -6,17 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from neuroflight.training.dissertation.quotes import Axes, quotes
+from neuroflight.training.results_page.stored_results import Interval
 
 Known = tuple[float | None, float | None, float | None]  # None: nothing to average
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A controller's figure minus another's on the same commands."""
-
-    value: float
-    margin: float  # half width of its 95 % confidence interval
-    significant: bool  # whether the interval excludes zero
 
 
 @dataclass(frozen=True)
@@ -34,7 +26,7 @@ class ControllerRow:
     response: Mapping[str, Known] = field(default_factory=dict)
     in_band: Mapping[str, float] = field(default_factory=dict)  # % of time or commands, over all axes
     against: str = ""  # label of the row that is subtracted
-    difference: Mapping[str, Difference] = field(default_factory=dict)
+    difference: Mapping[str, Interval] = field(default_factory=dict)  # from it, on the same commands
     printed: bool = False  # from the dissertation, with its digits
 
 

@@ -8,11 +8,8 @@ from neuroflight.training.results_page.markdown import axes, number, table
 from neuroflight.training.results_page.rows import controller_label
 from neuroflight.training.results_page.stored_results import Stored
 
-MEANS = (
-    ("mae", "MAE", 3),
-    ("mse", "MSE", 1),
-    ("motor_change", "motors, abs Δ", 5),
-)  # figure, heading, digits
+# Figure, heading, digits.
+MEANS = (("mae", "MAE", 3), ("mse", "MSE", 1), ("motor_change", "motors, abs Δ", 5))
 HOLDS = (("rest_late", "rest late", 2), ("drift", "drift, °", 1))  # of flights besides
 
 
@@ -76,18 +73,20 @@ def _level_rows(level: Stored, holds: Sequence[tuple[str, str, int]]) -> list[Se
     rows: list[Sequence[str]] = []
     for each in level.entries("controllers"):
         nearest = "" if each.get("reached") is True or not thrust else ", nearest"
-        change = [_less(each, name, digits) for name, _, digits in (*MEANS, *holds)]
+        first = not each.has("difference")  # to which the others' differences are
+        change = [
+            "" if first else each.interval("difference", name).difference(digits)
+            for name, _, digits in (*MEANS, *holds)
+        ]
         rows.append(
             (
                 f"{f'{thrust:g}' if thrust else 'closed'}, {controller_label(each)}",
                 number(each.number("throttle"), 3),
                 f"{each.number('thrust_at_rest', 'value'):.3f}{nearest}",
                 axes(each.axes("mae"), 2),
-                _mean(each, "mae", 3),
-                _mean(each, "mse", 1),
-                _mean(each, "motor_change", 5),
+                *(each.interval("means", name).text(digits) for name, _, digits in MEANS),
                 number(each.number("motor_deviation_at_rest"), 5),
-                *(_mean(each, name, digits) for name, _, digits in holds),
+                *(each.interval("means", name).text(digits) for name, _, digits in holds),
                 *change,
             )
         )
@@ -107,20 +106,6 @@ def _mean_rows(levels: Sequence[Stored], told: Sequence[tuple[str, str, int]]) -
             cells += [number(mean, digits), f"{mean / first:.3f}" if first else ""]
         rows.append((controller_label(own[0]), *cells))
     return rows
-
-
-def _mean(each: Stored, name: str, digits: int) -> str:
-    value, low, high = (each.number("means", name, part) for part in ("value", "low", "high"))
-    return f"{value:,.{digits}f} ± {(high - low) / 2:,.{digits}f}"
-
-
-def _less(each: Stored, name: str, digits: int) -> str:
-    """Return a paired difference to the first controller; empty for itself."""
-    if not each.has("difference"):
-        return ""
-    value, low, high = (each.number("difference", name, part) for part in ("value", "low", "high"))
-    mark = "" if low > 0 or high < 0 else "≈ "
-    return f"{mark}{value:+,.{digits}f} ± {(high - low) / 2:,.{digits}f}"
 
 
 ABOUT_PULSES = "Pulses as above, "

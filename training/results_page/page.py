@@ -10,12 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from neuroflight.training.dissertation.quotes import quotes
-from neuroflight.training.results_page.dissertation import (
-    ControllerRow,
-    Difference,
-    printed_drift_mm,
-    printed_rows,
-)
+from neuroflight.training.results_page.dissertation import ControllerRow, printed_drift_mm, printed_rows
 from neuroflight.training.results_page.equal_thrust import equal_thrust_section, transparency_section
 from neuroflight.training.results_page.manoeuvres import manoeuvre_section
 from neuroflight.training.results_page.markdown import axes, number, table
@@ -38,20 +33,11 @@ from neuroflight.training.results_page.training import training_section
 def render(results: Sequence[Stored]) -> str:
     """Return the page. Raises ResultsError naming the file and key that cannot be used."""
     tables: dict[tuple[str, str], list[ControllerRow]] = {}
-    drifts, runs, robust, timed, freely, lifted, studies = [], [], [], [], [], [], []
+    kinds: dict[str, list[Stored]] = {key: [] for key in KINDS}
+    lifted: list[str] = []
     for stored in results:
-        if stored.has("sweep"):
-            studies.append(stored)
-        elif stored.has("runs"):
-            drifts.append(stored)
-        elif stored.has("robustness"):
-            robust.append(stored)
-        elif stored.has("manoeuvres"):
-            freely.append(stored)
-        elif stored.has("board_timing"):
-            timed.append(stored)
-        elif stored.has("config"):
-            runs.append(stored)
+        if kind := next((key for key in KINDS if stored.has(key)), None):
+            kinds[kind].append(stored)
         elif stored.has("equal_thrust"):
             lifted.append(equal_thrust_section(stored))
         elif stored.has("flights"):
@@ -71,13 +57,8 @@ def render(results: Sequence[Stored]) -> str:
         for aircraft, rows in ((which, rows) for (name, which), rows in tables.items() if name == task):
             blocks.append(section(aircraft, [*rows, *printed_rows(task, aircraft)]))
     blocks += lifted
-    blocks += [manoeuvre_section(stored) for stored in freely]
-    blocks += [robustness_section(stored) for stored in robust]
-    blocks += [study_section(stored) for stored in studies]
-    if runs:
-        blocks.append(training_section(runs))
-    blocks += [timing_section(stored) for stored in timed]
-    blocks += [_drift_section(stored) for stored in drifts]
+    for key, sections in KINDS.items():
+        blocks += sections(kinds[key])
     blocks.append(_sources(results))
     return "\n\n".join(blocks) + "\n"
 
@@ -164,19 +145,15 @@ def _differences(rows: Sequence[ControllerRow], columns: Sequence[tuple[str, str
     body = [
         (
             f"{row.label} less {row.against}",
-            *(_change(row.difference.get(name), factor, digits) for name, _, factor, digits in columns),
+            *(
+                row.difference[name].difference(digits, factor) if name in row.difference else ""
+                for name, _, factor, digits in columns
+            ),
         )
         for row in rows
         if row.difference
     ]
     return [table(("", *(heading for _, heading, _, _ in columns)), body)] if body else []
-
-
-def _change(difference: Difference | None, factor: float, digits: int) -> str:
-    if difference is None:
-        return ""
-    value, margin = factor * difference.value, factor * difference.margin
-    return f"{'' if difference.significant else '≈ '}{value:+,.{digits}f} ± {margin:,.{digits}f}"
 
 
 def _drift_section(stored: Stored) -> str:
@@ -272,6 +249,21 @@ its angular momentum to rounding where pybullet's own step gains or loses 0.2 % 
 second. The dissertation's simulator had another solver, so the magnitudes differ; in both, reduced
 coordinates do not drift and maximal ones do, more at larger steps. It shows reduced ones at 1 ms alone."""
 ABOUT_SOURCES = """Each command reproduces its file from the same aircraft file and policy."""
+
+
+def _each(section: Callable[[Stored], str]) -> Callable[[Sequence[Stored]], list[str]]:
+    return lambda results: [section(stored) for stored in results]
+
+
+# The sections of results of a kind, by the key that tells it: a sweep has runs too. The page has this order.
+KINDS: dict[str, Callable[[Sequence[Stored]], list[str]]] = {
+    "manoeuvres": _each(manoeuvre_section),
+    "robustness": _each(robustness_section),
+    "sweep": _each(study_section),
+    "config": lambda runs: [training_section(runs)] if runs else [],
+    "board_timing": _each(timing_section),
+    "runs": _each(_drift_section),
+}
 SECTIONS: dict[str, Callable[[str, Sequence[ControllerRow]], str]] = {
     "pulse": _pulse_section,
     "episodic": _episodic_section,

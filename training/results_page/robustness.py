@@ -49,8 +49,8 @@ def _case(controller: Stored, case: str, bar: float) -> str:
 
 
 def _joint(controller: Stored, name: str, bar: float) -> str:
-    value, low, high = (controller.number("joint", name, part) for part in ("value", "low", "high"))
-    return f"{_marked(value, bar)} ({low:.2f} to {high:.2f})"
+    found = controller.interval("joint", name)
+    return f"{_marked(found.value, bar)} ({found.low:.2f} to {found.high:.2f})"
 
 
 def _marked(value: float, bar: float) -> str:

@@ -7,7 +7,7 @@ from collections import ChainMap
 from collections.abc import Sequence
 from pathlib import Path
 
-from neuroflight.training.results_page.dissertation import ControllerRow, Difference, Known
+from neuroflight.training.results_page.dissertation import ControllerRow, Known
 from neuroflight.training.results_page.stored_results import Stored
 
 SUMS = ("iae", "ise", "itae", "itse")
@@ -27,12 +27,8 @@ RESPONSES = (  # of a row: figure, factor of the printed value
 ALL_AXES = ("in_band_500", "in_band_500_bare", "in_band_750", "in_band_750_bare")
 STEADY = ("steady", "steady_bare")
 DIFFERENCES = ("mae", "mse", "output", "change", "smoothness", *STEADY)
-ENTRIES = (
-    ("comparison",),
-    ("robustness", "controllers"),
-    ("manoeuvres", "contenders"),
-    ("transparency",),
-)  # where a file names several controllers
+# Where a file names several controllers.
+ENTRIES = (("comparison",), ("robustness", "controllers"), ("manoeuvres", "contenders"), ("transparency",))
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = "training/policies/"
 
@@ -64,12 +60,14 @@ def evaluated_row(stored: Stored, against: str = "") -> ControllerRow:
         mae_margin=stored.axes("margin_95", "mae"),
         output=stored.number("output"),
         change=stored.number("change"),
-        smoothness=stored.number("smoothness") if stored.has("smoothness") else None,
+        smoothness=stored.optional("smoothness"),
         response=_response(stored, "response"),
         in_band=_all_axes(stored, "response"),
         against=against,
         difference={
-            name: _difference(stored, name) for name in DIFFERENCES if stored.has("difference", name)
+            name: stored.interval("difference", name)
+            for name in DIFFERENCES
+            if stored.has("difference", name)
         },
     )
 
@@ -92,11 +90,7 @@ def flown_rows(stored: Stored) -> list[ControllerRow]:
             tracking={key: stored.axes("flights", name, "tracking", key) for key in ("mae", "mse", *SUMS)},
             output=stored.number("flights", name, "effort", "output"),
             change=stored.number("flights", name, "effort", "change"),
-            smoothness=(
-                stored.number("flights", name, "smoothness")
-                if stored.has("flights", name, "smoothness")
-                else None
-            ),
+            smoothness=stored.optional("flights", name, "smoothness"),
             response=_response(stored, "flights", name, "response"),
             in_band=_all_axes(stored, "flights", name, "response"),
         )
@@ -113,7 +107,7 @@ def controller_label(stored: Stored) -> str:
     else:
         sha256 = stored.text("policy_sha256") if stored.has("policy_sha256") else None
         label = f"PID `{stored.text('pid')}`" if stored.has("pid") else _policy_label(name, sha256)
-    idle = stored.number("idle") if stored.has("idle") else 0.0
+    idle = stored.optional("idle")
     return f"{label}, idle {idle:g}" if idle else label
 
 
@@ -140,16 +134,8 @@ def _policy_label(name: str, sha256: str | None) -> str:
         now = hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None
         which = "shipped policy" if sha256 in (None, now) else "policy shipped before"
         return f"{which} ({path.parent.name})"
-    return (
-        f"policy `{path.parent.name}`"
-        if path.name == "policy.onnx" and path.parent.name
-        else f"policy `{name}`"
-    )
-
-
-def _difference(stored: Stored, name: str) -> Difference:
-    low, high = (stored.number("difference", name, end) for end in ("low", "high"))
-    return Difference(stored.number("difference", name, "value"), (high - low) / 2, low > 0 or high < 0)
+    of_run = path.name == "policy.onnx" and path.parent.name
+    return f"policy `{path.parent.name if of_run else name}`"
 
 
 def _response(stored: Stored, *path: str) -> dict[str, Known]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from neuroflight.toolchain.errors import NeuroflightError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 from neuroflight.training.dissertation.quotes import Axes
 
 FILE_BYTES_MAX = 4 << 20
@@ -22,6 +22,25 @@ COMMANDS = "commands.txt"  # in a folder of results: a line NAME.json neurofligh
 
 class ResultsError(NeuroflightError):
     """A stored result that is damaged, or is not a result."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure, or the difference of two, and its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def text(self, digits: int, factor: float = 1.0, sign: str = "") -> str:
+        """Return the value and half its width; sign: "+" for a difference."""
+        margin = (self.high - self.low) / 2
+        return f"{factor * self.value:{sign},.{digits}f} ± {factor * margin:,.{digits}f}"
+
+    def difference(self, digits: int, factor: float = 1.0) -> str:
+        """Return it as a difference, marked where it may be none."""
+        mark = "" if self.low > 0 or self.high < 0 else "≈ "
+        return mark + self.text(digits, factor, "+")
 
 
 @dataclass(frozen=True)
@@ -71,6 +90,14 @@ class Stored:
             raise self.error(".".join(path), value, "a finite number")
         return float(value)
 
+    def optional(self, *path: str) -> float | None:
+        """Return the finite number at a path, or None where there is none."""
+        return self.number(*path) if self.has(*path) else None
+
+    def interval(self, *path: str) -> Interval:
+        """Return the figure with its interval at a path."""
+        return Interval(*(self.number(*path, part) for part in ("value", "low", "high")))
+
     def numbers(self, *path: str) -> list[float]:
         """Return the list of finite numbers at a path, at least one."""
         value = self.get(*path)
@@ -108,10 +135,9 @@ def read_results(folder: Path, fewest: int = 1) -> list[Stored]:
         )
     results = []
     for path in paths:
-        if file_size(path) > FILE_BYTES_MAX:
-            raise ResultsError(f"{path}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
+        data = read_limited(path, f"{path}", FILE_BYTES_MAX, ResultsError)
         try:
-            document = json.loads(path.read_text())
+            document = json.loads(data)
         except (ValueError, RecursionError) as error:
             raise ResultsError(f"{path}: not JSON ({error}); make it anew") from error
         if not isinstance(document, dict):
@@ -131,10 +157,9 @@ def read_commands(folder: Path) -> dict[str, list[str]]:
         raise ResultsError(
             f"{path}: not there; write a line `NAME.json neuroflight COMMAND...` for each file"
         )
-    if file_size(path) > FILE_BYTES_MAX:
-        raise ResultsError(f"{path}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
+    lines = read_limited(path, f"{path}", FILE_BYTES_MAX, ResultsError).decode(errors="replace").splitlines()
     found: dict[str, list[str]] = {}
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+    for number, line in enumerate(lines, start=1):
         where = f"{path}: line {number}"
         try:
             name, program, *words = shlex.split(line, comments=True) or ("", "neuroflight")

@@ -10,6 +10,8 @@ from __future__ import annotations
 import io
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -123,9 +125,8 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
     """Load the run to resume. Raises TrainingError if there is none, or it has another configuration."""
     if not path.is_file():
         raise TrainingError(f"nothing to resume: {path} does not exist; start without --resume")
-    try:
-        content = load_plain(path)
-        form = content["format"], content["version"]
+    with _reading(path, "go on from"):
+        content = _content(path)
         config = json.loads(content["config"])
         progress = content["progress"]
         # A checkpoint of an older version has no rewards: the run's record then begins where it is resumed.
@@ -147,12 +148,6 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
             # Not in a checkpoint of an older version.
             tuple((by_steps[int(steps)], dict(policy)) for steps, policy in content.get("others", [])),
         )
-    except PolicyError as error:
-        raise TrainingError(str(error)) from error
-    except Exception as error:  # of content that is another than ours, of any kind
-        raise TrainingError(f"{path} is no checkpoint that a run can go on from; train anew") from error
-    if form != (CHECKPOINT_FORMAT, CHECKPOINT_VERSION):
-        raise TrainingError(f"{path} is of version {form[1]}, expected {CHECKPOINT_VERSION}; train anew")
     check_recorded(config.get("plugins", []), str(path))
     same = json.loads(json.dumps(document))
     different = sorted(key for key in {*config, *same} if config.get(key) != same.get(key))
@@ -201,12 +196,29 @@ def load_learned(path: Path) -> Learned:
     """Load the policy and the learner's state of a checkpoint. Raises TrainingError if it is none."""
     if not path.is_file():
         raise TrainingError(f"nothing to start from: {path} does not exist; give the folder of a run")
+    with _reading(path, "start from"):
+        content = _content(path)
+        return Learned(dict(content["state_dict"]), dict(content["learner"]))
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """Load a checkpoint of this version."""
+    content: dict[str, Any] = load_plain(path)
+    if (content["format"], content["version"]) != (CHECKPOINT_FORMAT, CHECKPOINT_VERSION):
+        raise TrainingError(
+            f"{path} is of version {content['version']}, expected {CHECKPOINT_VERSION}; train anew"
+        )
+    return content
+
+
+@contextmanager
+def _reading(path: Path, use: str) -> Iterator[None]:
+    """Make anything that is wrong with a checkpoint a TrainingError; use: what a run wants it for."""
     try:
-        content = load_plain(path)
-        if (content["format"], content["version"]) == (CHECKPOINT_FORMAT, CHECKPOINT_VERSION):
-            return Learned(dict(content["state_dict"]), dict(content["learner"]))
+        yield
+    except TrainingError:
+        raise
     except PolicyError as error:
         raise TrainingError(str(error)) from error
     except Exception as error:  # of content that is another than ours, of any kind
-        raise TrainingError(f"{path} is no checkpoint that a run can start from") from error
-    raise TrainingError(f"{path} is of another version, expected {CHECKPOINT_VERSION}")
+        raise TrainingError(f"{path} is no checkpoint that a run can {use}; train anew") from error

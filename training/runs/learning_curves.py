@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.confidence import Mean, mean_of
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.runs.rewards import read_rewards
 from neuroflight.training.runs.train import RECORD, REWARDS, read_record
 
-Array = NDArray[np.float64]
 POINTS = 200  # of a mean over seeds
 POINTS_MIN = 5  # of each run: fewer show no course, and leave a parabola no freedom
 LAST = 0.05  # part of the run whose mean is its reward at the end; also the window that smooths
@@ -86,7 +85,7 @@ class Curve:
     def reward(self) -> Mean:
         """Mean over seeds with its 95 % confidence at `steps`, (POINTS,) each."""
         values = np.array([run.at(self.steps) for run in self.runs])
-        return mean_of(values, np.ones(values.shape, bool))
+        return mean_of(values)
 
     @property
     def trend(self) -> Array:
@@ -97,13 +96,13 @@ class Curve:
     @property
     def final(self) -> Mean:
         """Reward of a control step over the last part of the runs, over seeds."""
-        return _over_seeds([run.final for run in self.runs])
+        return mean_of(np.array([run.final for run in self.runs]))
 
     @property
     def reached_steps(self) -> Mean | None:
         """Steps until REACHED of the way to that reward, over the seeds whose reward rose; None: none did."""
         found = [steps for run in self.runs if (steps := run.reached_steps) is not None]
-        return _over_seeds(found) if found else None
+        return mean_of(np.array(found)) if found else None
 
     @property
     def best(self) -> SeedRewards:
@@ -159,18 +158,11 @@ def curves(folders: Sequence[Path], labels: Sequence[str]) -> list[Curve]:
                 f"{label}: seeds {seeds}, expected different ones; label other runs otherwise"
             )
         for run in runs[1:]:
-            keys = sorted(key for key in {*runs[0].config, *run.config} if _differs(key, run, runs[0]))
+            both = [{key: json.dumps(value) for key, value in each.config.items()} for each in (runs[0], run)]
+            keys = sorted({key for key, _ in both[0].items() ^ both[1].items()})
             if keys:
                 raise TrainingError(
                     f"{label}: the runs of seeds {runs[0].seed} and {run.seed} differ in "
                     f"{', '.join(keys)}, expected the same configuration; label them differently"
                 )
     return [Curve(label, tuple(sorted(runs, key=lambda run: run.seed))) for label, runs in grouped.items()]
-
-
-def _differs(key: str, one: SeedRewards, other: SeedRewards) -> bool:
-    return json.dumps(one.config.get(key)) != json.dumps(other.config.get(key))
-
-
-def _over_seeds(values: Sequence[float]) -> Mean:
-    return mean_of(np.array(values, np.float64), np.ones(len(values), bool))

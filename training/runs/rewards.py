@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.toolchain.files import file_size, write_text
+from neuroflight.toolchain.files import read_limited, write_text
 
 POINTS_MAX = 400
 FILE_BYTES_MAX = 1 << 20
@@ -51,24 +51,22 @@ class Rewards:
 
 def read_rewards(path: Path) -> Rewards:
     """Read a run's rewards.csv. Raises TrainingError if it is none."""
-    try:
-        if (size := file_size(path)) > FILE_BYTES_MAX:
-            raise TrainingError(f"{path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
-        heading, *lines = path.read_text().splitlines() or [""]
-        points = tuple((int(steps), float(reward)) for steps, reward in (line.split(",") for line in lines))
-    except FileNotFoundError as error:
+    if not path.exists():
         raise TrainingError(
             f"{path} does not exist: the run has written no checkpoint yet, or an older version trained it; "
             f"train it anew"
-        ) from error
-    except OSError as error:
-        raise TrainingError(f"cannot read {path}: {error.strerror}") from error
+        )
+    data = read_limited(path, str(path), FILE_BYTES_MAX, TrainingError)
+    wrong = TrainingError(f"{path} is no record of rewards; --resume writes it anew")
+    try:
+        heading, *lines = data.decode().splitlines() or [""]
+        points = tuple((int(steps), float(reward)) for steps, reward in (line.split(",") for line in lines))
     except ValueError as error:
-        raise TrainingError(f"{path} is no record of rewards; --resume writes it anew") from error
+        raise wrong from error
     steps = [0, *(step for step, _ in points)]
     rising = all(before < after for before, after in pairwise(steps))
     if heading != HEADING or not rising or not all(math.isfinite(reward) for _, reward in points):
-        raise TrainingError(f"{path} is no record of rewards; --resume writes it anew")
+        raise wrong
     return Rewards(points)
 
 

@@ -15,7 +15,7 @@ import torch
 
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.toolchain.files import file_size, write_text
+from neuroflight.toolchain.files import read_limited, write_text
 from neuroflight.toolchain.policy.freeze import freeze
 from neuroflight.training.checkpoints.metrics import CheckpointMetrics
 from neuroflight.training.checkpoints.monitor import EPISODES, SEED, flown
@@ -284,9 +284,8 @@ def _seconds(out: Path) -> float:
 def read_record(folder: Path) -> dict[str, Any]:
     """Read the training.json of a run. Raises TrainingError if there is none."""
     path = folder / RECORD
+    data = read_limited(path, str(path), RECORD_BYTES_MAX, TrainingError)
     try:
-        if (size := file_size(path)) > RECORD_BYTES_MAX:
-            raise TrainingError(f"{path} is {size} bytes, expected at most {RECORD_BYTES_MAX}")
-        return dict(json.loads(path.read_text()))
-    except (OSError, ValueError, TypeError, RecursionError) as error:
+        return dict(json.loads(data))
+    except (ValueError, TypeError, RecursionError) as error:
         raise TrainingError(f"{path} cannot be read; --resume writes it anew") from error

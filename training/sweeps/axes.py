@@ -6,16 +6,17 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from neuroflight.sim.strict_toml import StrictTable
 from neuroflight.toolchain.errors import TrainingError
+from neuroflight.training.config.config_table import ConfigReader
+from neuroflight.training.tasks.limits import Limits, value_errors
 
-NUMBER_MAX = 1e12  # of a range's ends
-RANGE_KEYS = ("low", "high", "log", "whole")
 VARIANTS_MAX = 100
+End = Annotated[float, Limits(-1e12, 1e12)]  # of a range
 VARIANT = "variant"  # the axis of variants: its values are their names
 
 Varied = dict[str, Any]  # dotted key -> value
@@ -25,10 +26,23 @@ Varied = dict[str, Any]  # dotted key -> value
 class Range:
     """Numbers to draw from."""
 
-    low: float
-    high: float
-    log: bool  # log-uniform
-    whole: bool  # whole numbers
+    low: End
+    high: End
+    log: bool = False  # log-uniform
+    whole: bool = False  # whole numbers
+
+    def __post_init__(self) -> None:
+        """Raise TrainingError if there is nothing between the ends."""
+        low, high = self.low, self.high
+        wrong = list(value_errors(self))
+        if not low < high:
+            wrong.append(f"high {high:g}, expected more than low, {low:g}")
+        if self.log and low <= 0:
+            wrong.append(f"low {low:g}, expected more than 0, since log = true")
+        if self.whole and math.ceil(low) > math.floor(high):
+            wrong.append(f"high {high:g}, expected a whole number between low, {low:g}, and it")
+        if wrong:
+            raise TrainingError(wrong[0])
 
     def draw(self, rng: np.random.Generator) -> float | int:
         """Draw a number; unless whole, it has four significant digits."""
@@ -47,7 +61,7 @@ def read_axes(vary: Mapping[str, Any], where: str) -> dict[str, list[Any] | Rang
     axes: dict[str, list[Any] | Range] = {}
     for key, value in flat(vary).items():
         if isinstance(value, dict):
-            axes[key] = _range(value, where, f"vary.{key}.")
+            axes[key] = ConfigReader(where, {}).table(Range, value, f"vary.{key}")
         elif not isinstance(value, list) or not value:
             raise table.error(key, "expected a list of values, or a range {low = ..., high = ...}")
         elif any(value.index(item) < i for i, item in enumerate(value)):
@@ -55,24 +69,6 @@ def read_axes(vary: Mapping[str, Any], where: str) -> dict[str, list[Any] | Rang
         else:
             axes[key] = value
     return axes
-
-
-def _range(values: dict[str, Any], where: str, path: str) -> Range:
-    ends = StrictTable(values, where, TrainingError, path)
-    low, high = (ends.number(key, -NUMBER_MAX, NUMBER_MAX) for key in ("low", "high"))
-    for key, value in values.items():
-        if key not in RANGE_KEYS:
-            raise ends.error(key, f"unknown key; known here: {', '.join(RANGE_KEYS)}")
-        if key in ("log", "whole") and not isinstance(value, bool):
-            raise ends.error(key, "expected true or false")
-    log, whole = values.get("log", False), values.get("whole", False)
-    if not low < high:
-        raise ends.error("high", f"got {high:g}, expected more than low, {low:g}")
-    if log and low <= 0:
-        raise ends.error("low", f"got {low:g}, expected more than 0, since log = true")
-    if whole and math.ceil(low) > math.floor(high):
-        raise ends.error("high", f"got {high:g}, expected a whole number between low, {low:g}, and it")
-    return Range(low, high, log, whole)
 
 
 def read_variants(table: StrictTable, document: Mapping[str, Any]) -> dict[str, Varied]:

@@ -31,7 +31,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from inspect import Parameter, signature
@@ -43,9 +42,9 @@ import numpy as np
 from neuroflight.sim.aircraft.model import Aircraft, load_aircraft, shipped
 from neuroflight.sim.aircraft.props_out import SUFFIX
 from neuroflight.sim.physics.world import COUNT_MAX
-from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.sim.strict_toml import StrictTable, parse_toml
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.files import read_limited
 from neuroflight.training.config.config_file import load_config, recipes
 from neuroflight.training.config.training_config import SEED_MAX, TrainingConfig
 from neuroflight.training.sweeps.axes import (
@@ -59,7 +58,6 @@ from neuroflight.training.sweeps.axes import (
 )
 from neuroflight.training.tasks.flight import HOVER_THROTTLE, FlightTask
 from neuroflight.training.tasks.registry import TASKS
-from neuroflight.training.tasks.task import Task
 
 FILE_BYTES_MAX = 100_000
 TRIALS_MAX = 1000
@@ -122,7 +120,9 @@ def load_sweep(path: Path) -> Sweep:
     Raises TrainingError, one line, for an error of the file or of the first invalid run.
     """
     where = f"sweep {path.name}"
-    document = _read(path, where)
+    if not path.is_file():
+        raise TrainingError(f"{where}: {path} is no file; give the path of a sweep in TOML")
+    document = parse_toml(read_limited(path, where, FILE_BYTES_MAX, TrainingError), where, TrainingError)
     table = StrictTable(document, where, TrainingError)
     aircraft = load_aircraft(_beside(path, table.text("aircraft"), shipped()))
     base = table.text(CONFIG, "")
@@ -135,9 +135,11 @@ def load_sweep(path: Path) -> Sweep:
     samples = table.integer("samples", 1, TRIALS_MAX, 1)
     rng = np.random.default_rng(table.integer("seed", 0, SEED_MAX, 0))
     variants = read_variants(table, document)
-    baseline = _baseline(table, tuple(variants))
-    validation = _validation(table.table("validation")) if table.has("validation") else Validation()
-    board = _board(table.table("board")) if table.has("board") else None
+    # What the others are compared with: the first, unless the file names one.
+    names = {name: name for name in variants}
+    baseline = table.choice("baseline", names, next(iter(variants))) if variants else None
+    validation = table.optional_part("validation", _validation) or Validation()
+    board = table.optional_part("board", _board)
     table.finish()
     for place, values in (("", common), *((f"variant {name!r}: ", own) for name, own in variants.items())):
         if both := sorted({*values} & {*axes}):
@@ -179,19 +181,6 @@ def shown(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _read(path: Path, where: str) -> dict[str, Any]:
-    try:
-        if not path.is_file():
-            raise TrainingError(f"{where}: {path} is no file; give the path of a sweep in TOML")
-        if (size := file_size(path)) > FILE_BYTES_MAX:
-            raise TrainingError(f"{where}: {size} bytes, expected at most {FILE_BYTES_MAX}")
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except OSError as error:
-        raise TrainingError(f"{where}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # ValueError: not UTF-8, not TOML, a number without end
-        raise TrainingError(f"{where}: not TOML: {' '.join(str(error).split())}") from error
-
-
 def _beside(path: Path, name: str, known: Sequence[str]) -> str:
     """Return a known name as it is; any other as a path relative to the sweep file's folder."""
     return name if name.removesuffix(SUFFIX) in known else str(path.parent / name)
@@ -201,7 +190,11 @@ def _validation(table: StrictTable) -> Validation:
     usual = Validation()
     flights = table.text("task", usual.task) == usual.task
     # Only tasks without required fields: `recorded`, say, needs a file.
-    tasks = {name: name for name, task in TASKS.items() if _complete(task)}
+    tasks = {
+        name: name
+        for name, task in TASKS.items()
+        if all(each.default is not Parameter.empty for each in signature(task).parameters.values())
+    }
     validation = Validation(
         task=table.choice("task", tasks, usual.task),
         episodes=table.integer("episodes", 2, COUNT_MAX, usual.episodes),
@@ -211,25 +204,11 @@ def _validation(table: StrictTable) -> Validation:
     )
     if validation.thrust and table.has("throttle"):
         raise table.error("throttle", "stands beside thrust, which finds it; give one of the two")
-    table.finish()
     return validation
 
 
-def _baseline(table: StrictTable, variants: tuple[str, ...]) -> str | None:
-    """Return the variant that the others are compared with: the first, unless the file names one."""
-    if not variants:
-        return None
-    return table.choice("baseline", {name: name for name in variants}, variants[0])
-
-
 def _board(table: StrictTable) -> Board:
-    board = Board(*(table.integer(key, 1, CYCLES_MAX) for key in ("control_task_cycles", "other_cycles")))
-    table.finish()
-    return board
-
-
-def _complete(task: type[Task]) -> bool:
-    return all(p.default is not Parameter.empty for p in signature(task).parameters.values())
+    return Board(*(table.integer(key, 1, CYCLES_MAX) for key in ("control_task_cycles", "other_cycles")))
 
 
 def _folder(number: int, total: int, varied: Varied) -> str:

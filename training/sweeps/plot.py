@@ -11,9 +11,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter
 
-from neuroflight.sim.plotting import GRID, INK, dress, plain_numbers, titled_figure
+from neuroflight.sim.plotting import GRID, INK, dress, log_numbers, titled_figure
 from neuroflight.training.sweeps.config import Validation, described
 from neuroflight.training.sweeps.summary import Configuration, pareto
 
@@ -137,11 +137,7 @@ def _scale(panel: Axes, name: str, values: Sequence[float]) -> None:
     if low > 0 and high / low > WIDE:
         room = (high / low) ** 0.08
         panel.set(**{f"{name}scale": "log", f"{name}lim": (low / room, high * room)})
-        axis = panel.xaxis if name == "x" else panel.yaxis
-        ticks = [m * 10.0**k for k in range(-6, 7) for m in (1, 2, 5)]
-        axis.set_major_locator(FixedLocator([t for t in ticks if low / room <= t <= high * room]))
-        axis.set_minor_locator(NullLocator())
-        plain_numbers(axis)
+        log_numbers(panel.xaxis if name == "x" else panel.yaxis)
     else:
         room = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
         panel.set(**{f"{name}lim": (low - room, high + room)})

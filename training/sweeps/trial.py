@@ -14,20 +14,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.analysis.confidence import mean_of
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.codegen.compiler import compile_policy
 from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ
 from neuroflight.toolchain.cortex_m7.timing import mixed_observations, time_policy
 from neuroflight.toolchain.errors import BuildError, TrainingError
-from neuroflight.toolchain.files import file_size, write_text
+from neuroflight.toolchain.files import read_limited, write_text
 from neuroflight.toolchain.policy.model import read_policy
 from neuroflight.training.checkpoints.monitor_process import Monitor
 from neuroflight.training.evaluation.comparison import values
 from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec, load_controller
 from neuroflight.training.evaluation.equal_thrust import equal_thrust
-from neuroflight.training.evaluation.evaluation import Scores, mean_over, scores
+from neuroflight.training.evaluation.evaluation import scores
 from neuroflight.training.runs.train import CHECKPOINT, POLICY, Callback, read_record, train
 from neuroflight.training.sweeps.config import Trial, Validation
 from neuroflight.training.tasks.flight import FlightTask
@@ -51,7 +53,7 @@ class Figure:
     @staticmethod
     def of(values: ArrayLike) -> Figure:
         """Compute the mean of (N,) values."""
-        mean = mean_over(np.asarray(values, np.float64))
+        mean = mean_of(np.asarray(values, np.float64))
         return Figure(float(mean.value), float(mean.high - mean.value))
 
 
@@ -129,14 +131,13 @@ def read_outcome(folder: Path, trial: Trial, aircraft: Aircraft, validation: Val
     path = folder / RESULT
     if not path.is_file():
         return None
+    data = read_limited(path, str(path), RESULT_BYTES_MAX, TrainingError)
     try:
-        if file_size(path) > RESULT_BYTES_MAX:
-            raise ValueError(f"more than {RESULT_BYTES_MAX} bytes")
-        document = json.loads(path.read_text())
+        document = json.loads(data)
         outcome = _outcome(document["outcome"])
         wanted = {"config": trial.config.document(aircraft), "validation": asdict(validation)}
         same = all(document[key] == json.loads(json.dumps(value)) for key, value in wanted.items())
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise TrainingError(f"{path} is damaged ({error!r}); remove its folder to train it again") from error
     if not same:
         raise TrainingError(
@@ -173,20 +174,14 @@ def _flown(path: Path, aircraft: Aircraft, validation: Validation) -> dict[str, 
     conditions = Conditions(aircraft, task, episodes, validation.seed)
     if validation.thrust:
         return _at_thrusts(controller, conditions, validation.thrust)
-    flown = scores(conditions.fly(controller, validation.throttle))
-    return {
-        "mae": Figure.of(flown.tracking.mae.mean(axis=1)),
-        "mse": Figure.of(flown.tracking.mse.mean(axis=1)),
-        "output": Figure.of(flown.output),
-        "change": Figure.of(flown.change),
-        "drift": _drift(flown),
-        "thrusts": (),
-    }
+    own = values(scores(conditions.fly(controller, validation.throttle)))
+    figures = {name: Figure.of(own[name].reshape(episodes, -1).mean(axis=1)) for name in FIGURES}
+    return {**figures, "drift": _drift(own), "thrusts": ()}
 
 
-def _drift(flown: Scores) -> Figure | None:
+def _drift(own: Mapping[str, Array]) -> Figure | None:
     """Return the size of the drift in the hover, mean of the axes [deg]; None without a hover."""
-    return None if flown.holding is None else Figure.of(np.abs(flown.holding.drift).mean(axis=1))
+    return Figure.of(own["drift"].mean(axis=1)) if "drift" in own else None
 
 
 def _at_thrusts(
@@ -196,7 +191,7 @@ def _at_thrusts(
     fast = replace(conditions, gyro_rate_hz=GYRO_RATE_DEFAULT_HZ)
     flown = equal_thrust((controller,), fast, (CLOSED, *thrusts), lambda _: lambda done, total: None)
     found: list[AtThrust] = []
-    each: dict[str, list[NDArray[np.float64]]] = {name: [] for name in FIGURES}
+    each: dict[str, list[Array]] = {name: [] for name in FIGURES}
     for level in flown.levels:
         (entry,), (trim,) = level.entries, level.trims
         own = values(entry.scores)
@@ -211,7 +206,7 @@ def _at_thrusts(
             for name, by_command in {**figures, **drawn}.items()
             if by_command is not None and np.isfinite(by_command).all()
         }
-        drift = _drift(entry.scores)
+        drift = _drift(own)
         asked = None if level.wanted == CLOSED else level.wanted
         found.append(AtThrust(asked, trim.rest.throttle, float(trim.rest.thrust.value), drift=drift, **means))
         if asked is not None:

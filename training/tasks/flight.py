@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from neuroflight.sim.analysis.holding import DRIFT_S, FIFTHS
 from neuroflight.sim.flight.freestyle import FLIGHT_S, FRAME_S, calm_strokes, stick_strokes
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.training.tasks.limits import check_limits
+from neuroflight.training.tasks.limits import Checked, Limits
 from neuroflight.training.tasks.sticks import OnSticks
 from neuroflight.training.tasks.task import (
     FULL_STICK_DEG_S,
     LENGTH_MAX_S,
+    Length,
     PulseTask,
     RandomCommands,
+    Rate,
     Setpoints,
     Task,
 )
@@ -24,6 +26,7 @@ from neuroflight.training.tasks.task import (
 PULSES_MAX = 1000
 LENGTH_MIN_S = 1.0  # of a pilot's flight
 HOVER_THROTTLE = 0.3  # the default: about a hover of the shipped aircraft
+Hover = Annotated[float, Limits(DRIFT_S, LENGTH_MAX_S)]  # [s]: long enough to tell the drift
 
 
 @dataclass(frozen=True)
@@ -42,25 +45,11 @@ class FlightTask(RandomCommands):
     """
 
     name: ClassVar[str] = "flight"
-    pulses: int = 10
-    idle_s: float = 0.5  # of each pulse, before its command
-    command_s: float = 2.0
-    rest_s: float = 2.0
-    hover_s: float = 15.0
-
-    def __post_init__(self) -> None:
-        """Reject invalid values."""
-        super().__post_init__()
-        length = (0.0, LENGTH_MAX_S)
-        check_limits(
-            f"task {self.name}",
-            self,
-            pulses=(1, PULSES_MAX),
-            idle_s=length,
-            command_s=length,
-            rest_s=length,
-            hover_s=(DRIFT_S, LENGTH_MAX_S),
-        )
+    pulses: Annotated[int, Limits(1, PULSES_MAX)] = 10
+    idle_s: Length = 0.5  # of each pulse, before its command
+    command_s: Length = 2.0
+    rest_s: Length = 2.0
+    hover_s: Hover = 15.0
 
     @property
     def duration_s(self) -> float:
@@ -95,7 +84,7 @@ class FlightTask(RandomCommands):
 
 
 @dataclass(frozen=True)
-class PilotTask:
+class PilotTask(Checked):
     """The sticks of a pilot's freestyle minute, of another pilot each, and then a hover.
 
     They move as a hand does and hardly rest: see sim.flight.freestyle. With `sigma_deg_s` he flies no
@@ -104,19 +93,14 @@ class PilotTask:
     """
 
     name: ClassVar[str] = "pilot"
-    length_s: float = FLIGHT_S  # before the hover; a freestyle has this one
-    sigma_deg_s: float = 0.0  # 0: a freestyle
-    hover_s: float = 15.0
+    # Before the hover; a freestyle has this one.
+    length_s: Annotated[float, Limits(LENGTH_MIN_S, LENGTH_MAX_S)] = FLIGHT_S
+    sigma_deg_s: Rate = 0.0  # 0: a freestyle
+    hover_s: Hover = 15.0
 
     def __post_init__(self) -> None:
         """Reject invalid values."""
-        check_limits(
-            f"task {self.name}",
-            self,
-            length_s=(LENGTH_MIN_S, LENGTH_MAX_S),
-            sigma_deg_s=(0.0, FULL_STICK_DEG_S),
-            hover_s=(DRIFT_S, LENGTH_MAX_S),
-        )
+        super().__post_init__()
         if self.length_s != FLIGHT_S and not self.sigma_deg_s:
             raise TrainingError(
                 f"task {self.name}: length_s {self.length_s:g}, expected {FLIGHT_S:g}: a freestyle is a "

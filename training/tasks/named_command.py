@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Setpoints, held
+from neuroflight.training.tasks.task import EpisodicTask, PulseTask, Setpoints
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,4 @@ class NamedCommand:
 
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task; nothing is drawn from `rng`."""
-        commands = np.tile(np.deg2rad(self.command_deg_s), (count, 1))
-        if isinstance(self.task, PulseTask):
-            return self.task.of(commands, rate_hz)
-        return held(commands, self.task.hold_s, rate_hz)
+        return self.task.of(np.tile(np.deg2rad(self.command_deg_s), (count, 1)), rate_hz)

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
-from neuroflight.training.tasks.limits import check_limits
-from neuroflight.training.tasks.task import HOLD_MIN_S, LENGTH_MAX_S, Setpoints
+from neuroflight.training.tasks.limits import Checked, Limits, Share, check_limits
+from neuroflight.training.tasks.task import (
+    FULL_STICK_DEG_S,
+    HOLD_MIN_S,
+    LENGTH_MAX_S,
+    Length,
+    Rate,
+    Setpoints,
+)
 
 StepArray = NDArray[np.float64]  # (count, T)
+Hold = Annotated[float, Limits(HOLD_MIN_S, LENGTH_MAX_S)]  # [s]
+Weight = Annotated[float, Limits(0.0, 100.0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +39,7 @@ class StepWeights:
 
 
 @dataclass(frozen=True)
-class RandomStepsTask:
+class RandomStepsTask(Checked):
     """Rest, a random command on all axes, rest again, and so on; each holds for a random time.
 
     In the pulse task a command comes at a known time, and a policy with memory learns to speed its rotors up
@@ -45,36 +53,23 @@ class RandomStepsTask:
     """
 
     name: ClassVar[str] = "random-steps"
-    length_s: float = 0.7
-    hold_least_s: float = 0.1
-    hold_mean_s: float = 0.35
-    sigma_deg_s: float = 100.0  # commands are N(0, sigma) an axis, held within full stick
-    wide_share: float = 0.0  # of the episodes, in which commands are `wide_factor` times as large
-    wide_factor: float = 3.0
-    wide_weight: float = 0.5  # weight of a control step that holds such a command
-    wide_transient: float = 0.0  # and of one on the way to it, in the mean absolute error
-    start_s: float = 0.06  # until the rotors turn; has no weight
-    transient_s: float = 0.15  # after each change
-    transient_share: float = 0.0667  # of the whole weight that all transients have together
+    length_s: Hold = 0.7
+    hold_least_s: Hold = 0.1
+    hold_mean_s: Hold = 0.35
+    sigma_deg_s: Rate = 100.0  # commands are N(0, sigma) an axis, held within full stick
+    wide_share: Share = 0.0  # of the episodes, in which commands are `wide_factor` times as large
+    wide_factor: Annotated[float, Limits(1.0, 100.0)] = 3.0
+    wide_weight: Weight = 0.5  # weight of a control step that holds such a command
+    wide_transient: Weight = 0.0  # and of one on the way to it, in the mean absolute error
+    start_s: Length = 0.06  # until the rotors turn; has no weight
+    transient_s: Length = 0.15  # after each change
+    transient_share: Share = 0.0667  # of the whole weight that all transients have together
 
     def __post_init__(self) -> None:
         """Reject invalid values."""
-        share, length = (0.0, 1.0), (HOLD_MIN_S, LENGTH_MAX_S)
-        check_limits(
-            f"task {self.name}",
-            self,
-            length_s=length,
-            hold_least_s=length,
-            hold_mean_s=(self.hold_least_s, LENGTH_MAX_S),
-            sigma_deg_s=(0.0, RATE_FULL_STICK_DEG_S),
-            wide_share=share,
-            wide_factor=(1.0, 100.0),
-            wide_weight=(0.0, 100.0),
-            wide_transient=(0.0, 100.0),
-            start_s=(0.0, self.length_s),
-            transient_s=(0.0, LENGTH_MAX_S),
-            transient_share=share,
-        )
+        super().__post_init__()
+        least = (self.hold_least_s, LENGTH_MAX_S)
+        check_limits(f"task {self.name}", self, hold_mean_s=least, start_s=(0.0, self.length_s))
 
     @property
     def duration_s(self) -> float:
@@ -130,6 +125,6 @@ class RandomStepsTask:
             commands /= np.sqrt(np.square(flown).mean(axis=0)) if len(flown) else 1.0
         wide = rng.random(count) < self.wide_share
         sigma = self.sigma_deg_s * np.where(wide, self.wide_factor, 1.0)
-        commands = np.clip(sigma[:, None, None] * commands, -RATE_FULL_STICK_DEG_S, RATE_FULL_STICK_DEG_S)
+        commands = np.clip(sigma[:, None, None] * commands, -FULL_STICK_DEG_S, FULL_STICK_DEG_S)
         setpoints = np.deg2rad(commands)[np.arange(count)[:, None], nth]
         return setpoints.astype(np.float32), wide

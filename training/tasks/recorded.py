@@ -12,12 +12,12 @@ import numpy as np
 from neuroflight.sim.recorded.commands import Commands
 from neuroflight.sim.recorded.files import load_commands
 from neuroflight.toolchain.errors import ScenarioError, TrainingError
-from neuroflight.training.tasks.limits import check_limits
-from neuroflight.training.tasks.task import LENGTH_MAX_S, Setpoints
+from neuroflight.training.tasks.limits import Checked
+from neuroflight.training.tasks.task import Length, Setpoints
 
 
 @dataclass(frozen=True)
-class RecordedTask:
+class RecordedTask(Checked):
     """Pieces of a pilot's commands that start at random times of the recording; the aircraft begins at rest.
 
     file: recorded commands of any kind that `sim.recorded` reads, a trace (.npz) of `neuroflight fly --trace`
@@ -28,13 +28,13 @@ class RecordedTask:
 
     name: ClassVar[str] = "recorded"
     file: str
-    length_s: float = 4.0  # of a piece
+    length_s: Length = 4.0  # of a piece
     sha256: str = ""  # of the file; empty: not checked, and set to that of the file
     recording: Commands = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Read the file."""
-        check_limits(f"task {self.name}", self, length_s=(0.0, LENGTH_MAX_S))
+        super().__post_init__()
         recording, sha256 = _read(Path(self.file))
         if self.sha256 not in ("", sha256):
             raise TrainingError(

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neuroflight.training.tasks.limits import check_limits
+from neuroflight.sim.arrays import Array, Array32
+from neuroflight.training.tasks.limits import Checked, Limits, Share
 
-Array = NDArray[np.float64]
-Outputs = NDArray[np.float32]
 Rewards = NDArray[np.float32]  # (N,)
 
-WEIGHT = (0.0, 1e12)  # of a term
-SCALE = (1e-12, 1e12)
-SHARE = (0.0, 1.0)
-RATE_DEG_S = (1e-3, 1e4)
-BAND = {"band_share": SHARE, "band_floor_deg_s": RATE_DEG_S, "scale": SCALE}
+Weight = Annotated[float, Limits(0.0, 1e12)]  # of a term
+Scale = Annotated[float, Limits(1e-12, 1e12)]
+Rate = Annotated[float, Limits(1e-3, 1e4)]  # [deg/s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +26,9 @@ class Transition:
     setpoint_before: Array  # (N, 3) [rad/s], at the sample that the action was computed from
     error: Array  # (N, 3) [rad/s], setpoint - true rate at the sample after the step
     error_before: Array  # (N, 3) [rad/s], at the sample before it
-    unclipped: Outputs  # (N, M), the network's outputs before they are clipped to 0..1
-    action: Outputs  # (N, M), the controller's outputs of this step, clipped
-    action_before: Outputs  # (N, M), of the step before; zeros on an episode's first
+    unclipped: Array32  # (N, M), the network's outputs before they are clipped to 0..1
+    action: Array32  # (N, M), the controller's outputs of this step, clipped
+    action_before: Array32  # (N, M), of the step before; zeros on an episode's first
 
 
 class Reward(Protocol):
@@ -45,7 +42,7 @@ class Reward(Protocol):
 
 
 @dataclass(frozen=True)
-class TrackingReward:
+class TrackingReward(Checked):
     """Follow the command with low outputs that change little.
 
     r = -error Σ|e| / 100 deg/s - settle Σ min(|e| / 10 deg/s, 1) - output ȳ - change mean|Δy|, over axes
@@ -58,14 +55,10 @@ class TrackingReward:
     """
 
     name: ClassVar[str] = "tracking"
-    error: float = 1.0
-    settle: float = 0.0
-    output: float = 0.6
-    change: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Reject invalid weights."""
-        check_limits(f"reward {self.name}", self, error=WEIGHT, settle=WEIGHT, output=WEIGHT, change=WEIGHT)
+    error: Weight = 1.0
+    settle: Weight = 0.0
+    output: Weight = 0.6
+    change: Weight = 0.0
 
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""
@@ -79,18 +72,14 @@ class TrackingReward:
 
 
 @dataclass(frozen=True)
-class NormalizedReward:
+class NormalizedReward(Checked):
     """The normalized error: r = -clip(Σ|e| / (3 Ω_max), 0, 1).
 
     Source: Koch 2019, chapter 3. Ω_max is the largest command of its task, ±5.24 rad/s.
     """
 
     name: ClassVar[str] = "dissertation-3"
-    rate_max_deg_s: float = 300.0
-
-    def __post_init__(self) -> None:
-        """Reject invalid rates."""
-        check_limits(f"reward {self.name}", self, rate_max_deg_s=RATE_DEG_S)
+    rate_max_deg_s: Rate = 300.0
 
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""
@@ -99,7 +88,7 @@ class NormalizedReward:
 
 
 @dataclass(frozen=True)
-class SparseReward:
+class SparseReward(Checked):
     """Nothing while the error is small, else a penalty: r = 0 if Σ|e| < threshold, else -1.
 
     Source: Koch 2019, chapter 3, the footnote on rewards that did poorly. The threshold is not printed. Here
@@ -107,11 +96,7 @@ class SparseReward:
     """
 
     name: ClassVar[str] = "dissertation-3-sparse"
-    threshold_deg_s: float = 90.0
-
-    def __post_init__(self) -> None:
-        """Reject invalid rates."""
-        check_limits(f"reward {self.name}", self, threshold_deg_s=RATE_DEG_S)
+    threshold_deg_s: Rate = 90.0
 
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""
@@ -120,7 +105,7 @@ class SparseReward:
 
 
 @dataclass(frozen=True)
-class CalmReward:
+class CalmReward(Checked):
     """Squared errors, low outputs and, once the command is reached, small changes of the outputs.
 
     r = -error Σe² + output (1 - ȳ) + change Σ_i max(0, change_max² - Δy_i²), the last term only while each
@@ -134,18 +119,13 @@ class CalmReward:
     """
 
     name: ClassVar[str] = "dissertation-4"
-    error: float = 1.0
-    output: float = 300.0
-    change: float = 0.5
-    change_max: float = 100.0  # [%]
-    band_share: float = 0.1  # of the command; see `in_band`
-    band_floor_deg_s: float = 5.0
-    scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Reject invalid constants."""
-        what, percent = f"reward {self.name}", (0.0, 100.0)
-        check_limits(what, self, error=WEIGHT, output=WEIGHT, change=WEIGHT, change_max=percent, **BAND)
+    error: Weight = 1.0
+    output: Weight = 300.0
+    change: Weight = 0.5
+    change_max: Annotated[float, Limits(0.0, 100.0)] = 100.0  # [%]
+    band_share: Share = 0.1  # of the command; see `in_band`
+    band_floor_deg_s: Rate = 5.0
+    scale: Scale = 1.0
 
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""
@@ -160,7 +140,7 @@ class CalmReward:
 
 
 @dataclass(frozen=True)
-class ProgressReward:
+class ProgressReward(Checked):
     """Progress of the squared error, small changes, low outputs in the band, no motor beyond its range.
 
     r = (r_e - r_e before) - change max_i |Δu_i| + output (1 - max(ū, idle)) in the band
@@ -176,18 +156,13 @@ class ProgressReward:
     """
 
     name: ClassVar[str] = "dissertation-5"
-    output: float = 1000.0
-    change: float = 1000.0
-    penalty: float = 1e9
-    idle: float = 0.12
-    band_share: float = 0.1  # of the command; see `in_band`
-    band_floor_deg_s: float = 5.0
-    scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Reject invalid constants."""
-        what = f"reward {self.name}"
-        check_limits(what, self, output=WEIGHT, change=WEIGHT, penalty=WEIGHT, idle=SHARE, **BAND)
+    output: Weight = 1000.0
+    change: Weight = 1000.0
+    penalty: Weight = 1e9
+    idle: Share = 0.12
+    band_share: Share = 0.1  # of the command; see `in_band`
+    band_floor_deg_s: Rate = 5.0
+    scale: Scale = 1.0
 
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol, get_args
+from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.training.tasks.limits import check_limits
+from neuroflight.training.tasks.limits import Checked, Limits
 
-Array = NDArray[np.float64]
 Setpoints = NDArray[np.float32]  # (count, T, 3) [rad/s]
 Distribution = Literal["normal", "uniform"]
 
 FULL_STICK_DEG_S = float(RATE_FULL_STICK_DEG_S)
 LENGTH_MAX_S = 600.0  # [s] of each part of an episode
 HOLD_MIN_S = 0.01  # [s], of commands that change at random; no aircraft follows shorter ones
+Rate = Annotated[float, Limits(0.0, FULL_STICK_DEG_S)]  # [deg/s]
+Length = Annotated[float, Limits(0.0, LENGTH_MAX_S)]  # [s]
+Holds = Annotated[tuple[float, float], Limits(HOLD_MIN_S, LENGTH_MAX_S)]  # [s], least and greatest
 
 
 class Task(Protocol):
@@ -37,23 +40,12 @@ class Task(Protocol):
 
 
 @dataclass(frozen=True)
-class RandomCommands:
+class RandomCommands(Checked):
     """The distribution of the commands of the tasks below, each axis by itself."""
 
-    name: ClassVar[str]
     distribution: Distribution = "normal"
-    sigma_deg_s: float = 100.0  # of the normal
-    limit_deg_s: float = FULL_STICK_DEG_S  # the uniform is within +-limit, the normal is clipped to it
-
-    def __post_init__(self) -> None:
-        """Reject invalid values."""
-        full = (0.0, FULL_STICK_DEG_S)
-        check_limits(f"task {self.name}", self, sigma_deg_s=full, limit_deg_s=full)
-        known = get_args(Distribution)
-        if self.distribution not in known:
-            raise TrainingError(
-                f"task {self.name}: distribution {self.distribution!r}, expected one of: {', '.join(known)}"
-            )
+    sigma_deg_s: Rate = 100.0  # of the normal
+    limit_deg_s: Rate = FULL_STICK_DEG_S  # the uniform is within +-limit, the normal is clipped to it
 
     def commands(self, count: int, rng: np.random.Generator) -> Array:
         """Draw random commands [rad/s], (count, 3)."""
@@ -67,15 +59,9 @@ class PulseTask(RandomCommands):
     """Rest, one random command on all axes held, rest again (Koch 2019, chapter 5)."""
 
     name: ClassVar[str] = "pulse"
-    idle_s: float = 0.5
-    command_s: float = 2.0
-    rest_s: float = 2.0
-
-    def __post_init__(self) -> None:
-        """Reject invalid values."""
-        super().__post_init__()
-        length = (0.0, LENGTH_MAX_S)
-        check_limits(f"task {self.name}", self, idle_s=length, command_s=length, rest_s=length)
+    idle_s: Length = 0.5
+    command_s: Length = 2.0
+    rest_s: Length = 2.0
 
     @property
     def duration_s(self) -> float:
@@ -100,13 +86,8 @@ class EpisodicTask(RandomCommands):
 
     name: ClassVar[str] = "episodic"
     distribution: Distribution = "uniform"
-    limit_deg_s: float = 300.0
-    hold_s: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Reject invalid values."""
-        super().__post_init__()
-        check_limits(f"task {self.name}", self, hold_s=(0.0, LENGTH_MAX_S))
+    limit_deg_s: Rate = 300.0
+    hold_s: Length = 1.0
 
     @property
     def duration_s(self) -> float:
@@ -115,7 +96,11 @@ class EpisodicTask(RandomCommands):
 
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task."""
-        return held(self.commands(count, rng), self.hold_s, rate_hz)
+        return self.of(self.commands(count, rng), rate_hz)
+
+    def of(self, commands: Array, rate_hz: int) -> Setpoints:
+        """Return setpoints of the episodes with these commands (count, 3) [rad/s]."""
+        return held(commands, self.hold_s, rate_hz)
 
 
 @dataclass(frozen=True)
@@ -124,9 +109,9 @@ class EnvelopeTask(EpisodicTask):
 
     name: ClassVar[str] = "envelope"
     distribution: Distribution = "normal"
-    sigma_deg_s: float = 300.0
-    limit_deg_s: float = FULL_STICK_DEG_S
-    hold_s: float = 1.5
+    sigma_deg_s: Rate = 300.0
+    limit_deg_s: Rate = FULL_STICK_DEG_S
+    hold_s: Length = 1.5
 
 
 @dataclass(frozen=True)
@@ -141,16 +126,14 @@ class ContinuousTask(RandomCommands):
 
     name: ClassVar[str] = "continuous"
     distribution: Distribution = "uniform"
-    limit_deg_s: float = 360.0
-    length_s: float = 10.0
-    command_s: tuple[float, float] = (0.1, 1.0)  # least and greatest length of a command, drawn uniformly
-    rest_s: tuple[float, float] = (0.1, 1.0)  # likewise of a rest
+    limit_deg_s: Rate = 360.0
+    length_s: Length = 10.0
+    command_s: Holds = (0.1, 1.0)  # least and greatest length of a command, drawn uniformly
+    rest_s: Holds = (0.1, 1.0)  # likewise of a rest
 
     def __post_init__(self) -> None:
         """Reject invalid values."""
         super().__post_init__()
-        hold = (HOLD_MIN_S, LENGTH_MAX_S)
-        check_limits(f"task {self.name}", self, length_s=(0.0, LENGTH_MAX_S), command_s=hold, rest_s=hold)
         for name in ("command_s", "rest_s"):
             least, greatest = getattr(self, name)
             if least > greatest:
@@ -175,6 +158,24 @@ class ContinuousTask(RandomCommands):
             commands[1::2] = self.commands(pairs, rng)
             setpoints[episode] = commands[np.searchsorted(changes, steps, side="right")]
         return setpoints
+
+
+@dataclass(frozen=True, eq=False)
+class GivenCommands:
+    """A task whose commands are given, one for each episode."""
+
+    name: ClassVar[str] = "given"
+    task: PulseTask | EpisodicTask  # when a command begins, and how long it holds
+    given: Array  # (count, 3) [rad/s]
+
+    @property
+    def duration_s(self) -> float:
+        """Length of an episode [s]."""
+        return self.task.duration_s
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task; nothing is drawn from `rng`."""
+        return self.task.of(self.given, rate_hz)
 
 
 def held(commands: Array, seconds: float, rate_hz: int) -> Setpoints:

@@ -11,11 +11,12 @@ from neuroflight.cli.compare.controllers import check_ranges, is_betaflight
 from neuroflight.cli.compare.suite import Bar, NoNoise, Seed, Suite, SuiteResult
 from neuroflight.cli.report import Table
 from neuroflight.cli.requests import Option
+from neuroflight.toolchain.contract import AXES
 from neuroflight.toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
     from neuroflight.sim.aircraft.model import Aircraft
-    from neuroflight.training.evaluation.failure import Case, Failure, FailurePlan
+    from neuroflight.training.evaluation.failure import Case, CaseResult, Failure, FailurePlan
 
 CASES_MAX = 12
 MOTOR_CASES = (0.25, 0.5, 1.0)  # of motor 1, unless cases are given
@@ -41,13 +42,21 @@ class Failures(Suite):
     shift: Annotated[
         Cases, Option("GRAMS@X,Y,Z:X,Y,Z", "a payload carried from the start moves there", once=True)
     ] = ()
-    at: Annotated[float, Option("SECONDS", "of the change; default: 1", low=0.1, high=60.0)] = 1.0
-    after: Annotated[float, Option("SECONDS", "flown after it; default: 2", low=0.5, high=60.0)] = 2.0
+    at: Annotated[float, Option("S", "of the change; default: 1", low=0.1, high=60.0)] = 1.0
+    after: Annotated[float, Option("S", "flown after it; default: 2", low=0.5, high=60.0)] = 2.0
     episodes: Annotated[int, Option("N", "commands a case; default: 50")] = 50
     seed: Seed = 0
     throttle: Annotated[float, Option("T", "pilot's thrust; default: 0.4", low=0.0, high=1.0)] = 0.4
     limit: Annotated[
-        float, Option("DEG_S", "greatest command of an axis; default: 200", low=0.0, high=500.0)
+        float,
+        Option(
+            "DEG_S",
+            "greatest command of an axis; default: 200",
+            low=0.0,
+            high=500.0,
+            name="--max-rate",
+            old=("--limit",),
+        ),
     ] = 200.0
     give_up_yaw: Annotated[
         bool, Option(None, "after the change the commanded yaw rate is the measured one")
@@ -130,7 +139,7 @@ def _loss(text: str, aircraft: Aircraft) -> tuple[int, float]:
 
 
 def _document(plan: FailurePlan, results: Sequence[Failure]) -> dict[str, Any]:
-    from neuroflight.training.evaluation.failure import DIVERGENCE, RECOVERY, document
+    from neuroflight.training.evaluation.failure import DIVERGENCE, RECOVERY
 
     return {
         "episodes": plan.episodes,
@@ -143,8 +152,31 @@ def _document(plan: FailurePlan, results: Sequence[Failure]) -> dict[str, Any]:
         "yaw_given_up": plan.yaw_given_up,
         "recovery": RECOVERY,
         "divergence": DIVERGENCE,
-        "controllers": {each.controller.name: document(each) for each in results},
+        "controllers": {
+            each.controller.name: {
+                "controller": each.controller.name,
+                "label": each.controller.label,
+                **each.controller.facts,
+                "cases": {flown.case.name: _case_document(flown) for flown in each.cases},
+            }
+            for each in results
+        },
     }
+
+
+def _case_document(flown: CaseResult) -> dict[str, Any]:
+    return {
+        "kind": flown.case.kind,
+        **{name: _by_axis(getattr(flown, name)) for name in ("before", "after", "settled", "peak")},
+        "recovered_share": _by_axis(flown.recovered),
+        "recovery_s": _by_axis(flown.recovery_s),
+        "lost_axes": list(flown.lost),
+        "diverged_share": flown.diverged,
+    }
+
+
+def _by_axis(values: Any) -> dict[str, float | None]:  # noqa: ANN401 - an array
+    return {axis: float(x) if x == x else None for axis, x in zip(AXES, values, strict=True)}
 
 
 def _rows(plan: FailurePlan, results: Sequence[Failure]) -> Iterator[tuple[str, ...]]:

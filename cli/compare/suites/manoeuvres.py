@@ -64,15 +64,14 @@ class Manoeuvres(Suite):
         Option("SPEED", "wind [m/s] whose turbulence is flown; default: 7.7, light", low=0.0, high=GUST_MAX),
     ] = 7.7
     jobs: Annotated[
-        int | None,
-        Option("N", "flights at a time; default: the cores", low=1, high=1024, recorded=False),
+        int | None, Option("N", "flights at a time; default: the cores", low=1, high=1024, recorded=False)
     ] = None
 
     def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Fly the curves of all, then all flights, in processes of their own."""
         from neuroflight.sim.aircraft.model import load_aircraft
         from neuroflight.sim.flight.manoeuvres import MANOEUVRES, SETTLE_S
-        from neuroflight.training.evaluation.manoeuvres import Air, Flown, Pilot, document
+        from neuroflight.training.evaluation.manoeuvres import Air, Flown, Pilot
 
         aircraft = load_aircraft(self.aircraft)
         air = Air(self.battery, self.gust)
@@ -116,7 +115,7 @@ class Manoeuvres(Suite):
                     "battery": self.battery,
                     "gust_m_s": self.gust,
                     "settle_s": SETTLE_S,
-                    "contenders": document(flown),
+                    "contenders": [_document(flown, index) for index in range(len(flown))],
                 }
             },
             tables=lambda: [Table(title, _rows(flown), NOTE), Table("", _descent_rows(flown), closed)],
@@ -176,6 +175,35 @@ class Manoeuvres(Suite):
 
         with Crew(tasks, usable_cores() if self.jobs is None else self.jobs) as crew:
             return crew.results([partial(show, number) for number in range(len(tasks))])
+
+
+def _document(flown: Sequence[Flown], index: int) -> dict[str, object]:
+    """Return a controller and its figures as JSON data; differences are to the first, seed by seed."""
+    from neuroflight.training.evaluation.manoeuvres import COMPARED, less, means, significant, winner
+
+    one, found = flown[index], {}
+    for name, flights in one.manoeuvres.items():
+        wins = [key for key in COMPARED if len(flown) > 1 and winner(flown, name, key) == index]
+        away = {key: less(flown[0], one, name, key) for key in COMPARED if index}
+        found[name] = {
+            **{key: mean.document() for key, mean in means(flights).items()},
+            **(
+                {"difference": {k: {**m.document(), "significant": m.significant} for k, m in away.items()}}
+                if index
+                else {}
+            ),
+            "wins": wins,
+            "clear_wins": [key for key in wins if significant(flown, name, key, index)],
+        }
+    return {
+        "controller": one.controller.name,
+        **one.controller.facts,
+        "idle": one.controller.idle,
+        "throttle": list(one.curve.throttle),
+        "thrust_at_rest": list(one.curve.thrust),
+        "figures": found,
+        "descent": {key: mean.document() for key, mean in means(one.descents).items()},
+    }
 
 
 def _rows(flown: Sequence[Flown]) -> list[tuple[str, ...]]:

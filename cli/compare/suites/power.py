@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from neuroflight.cli.compare.suite import THROTTLES_MAX, THRUST_MAX, Bar, Idle, On, Seed, Suite, SuiteResult
 from neuroflight.cli.report import Table, interval
@@ -54,7 +54,7 @@ class Power(Suite):
         from neuroflight.sim.aircraft.model import load_aircraft
         from neuroflight.toolchain.errors import AircraftError
         from neuroflight.training.evaluation.controllers import Conditions, at_gyro_rate
-        from neuroflight.training.evaluation.power import disarmed, document, power
+        from neuroflight.training.evaluation.power import disarmed, power
         from neuroflight.training.evaluation.power_plot import draw_power
         from neuroflight.training.tasks.task import PulseTask
 
@@ -80,12 +80,38 @@ class Power(Suite):
                 "idling_s": self.seconds,
                 "charge": self.battery,
                 "electronics_w": battery.electronics_power,
-                "disarmed": still.document(),
-                "controllers": [document(each) for each in drawn],
+                "disarmed": _draw(still),
+                "controllers": [drawn_document(each) for each in drawn],
             },
             tables=lambda: [Table(title, _rows(still, drawn), NOTE)],
             pictures={"plot": lambda: draw_power(still, drawn, title)},
         )
+
+
+def drawn_document(drawn: Drawn) -> dict[str, Any]:
+    """Return the figures of a controller as JSON data."""
+    return {
+        "controller": drawn.controller.name,
+        "label": drawn.controller.label,
+        **drawn.controller.facts,
+        "idle": drawn.controller.idle,
+        "control_rate_hz": drawn.controller.control_rate_hz,
+        "armed": _draw(drawn.idling),
+        "flights": [
+            {
+                "thrust": flown.trim.wanted,
+                "reached": flown.trim.reached,
+                "throttle": flown.trim.rest.throttle,
+                "rest": _draw(flown.rest),
+                "commands": {"mae": flown.mae.document(), **_draw(flown.commands)},
+            }
+            for flown in drawn.flown
+        ],
+    }
+
+
+def _draw(drawn: Draw) -> dict[str, object]:
+    return {name: mean.document() for name, mean in vars(drawn).items()}
 
 
 def _rows(still: Draw, drawn: Sequence[Drawn]) -> list[tuple[str, ...]]:

@@ -98,7 +98,6 @@ def _document(plan: RobustnessPlan, results: Sequence[Robustness]) -> dict[str, 
         HIGH,
         HIGH_RATIO_MAX,
         MEDIAN_RATIO_MAX,
-        document,
     )
 
     return {
@@ -115,8 +114,50 @@ def _document(plan: RobustnessPlan, results: Sequence[Robustness]) -> dict[str, 
         "divergence": plan.divergence,
         "bars": {"case": CASE_RATIO_MAX, "median": MEDIAN_RATIO_MAX, "high": HIGH_RATIO_MAX},
         "high_quantile": HIGH,
-        "controllers": [document(result) for result in results],
+        "controllers": [
+            {
+                "controller": each.controller.name,
+                "label": each.controller.label,
+                **each.controller.facts,
+                "idle": each.controller.idle,
+                "control_rate_hz": each.controller.control_rate_hz,
+                "cases": {flown.case.name: _case_document(flown) for flown in each.cases},
+                "joint": each.joint and _joint_document(each.joint),
+            }
+            for each in results
+        ],
     }
+
+
+def _case_document(flown: CaseResult) -> dict[str, Any]:
+    return {
+        "parameter": flown.case.parameter,
+        "value": flown.case.value if flown.case.parameter else None,
+        "mae": flown.mae.document(),
+        "ratio": flown.ratio.document(),
+        "output": flown.output,
+        "change": flown.change,
+        "diverged": flown.diverged,
+        "met": flown.met,
+        **_drift(flown),
+    }
+
+
+def _joint_document(joint: JointResult) -> dict[str, Any]:
+    return {
+        "median": joint.median.document(),
+        "high": joint.high.document(),
+        "change": joint.change,
+        "diverged": joint.diverged,
+        "diverged_share": joint.diverged_share.document(),
+        "ratios": [round(float(ratio), 4) for ratio in joint.ratios],
+        "met": joint.met,
+        **_drift(joint),
+    }
+
+
+def _drift(flown: CaseResult | JointResult) -> dict[str, float]:
+    return {} if flown.drift is None else {"drift": flown.drift}
 
 
 def _rows(plan: RobustnessPlan, results: Sequence[Robustness]) -> Iterator[tuple[str, ...]]:

@@ -30,7 +30,8 @@ from neuroflight.cli.compare.suite import (
     Seed,
     SuiteResult,
 )
-from neuroflight.cli.output import check_output, plain
+from neuroflight.cli.options import picture
+from neuroflight.cli.output import plain
 from neuroflight.cli.requests import Option
 from neuroflight.toolchain.errors import TrainingError
 
@@ -70,7 +71,7 @@ class Tracking(Commanded):
     ] = None
     no_noise: NoNoise = False
     delay: Annotated[
-        Number, Option("SECONDS", "from command to rotor, not the aircraft's", low=0.0, high=0.1, unit="s")
+        Number, Option("S", "from command to rotor, not the aircraft's", low=0.0, high=0.1, unit="s")
     ] = None
     idle: Idle = None
     battery: Annotated[
@@ -102,9 +103,7 @@ class Tracking(Commanded):
     average: Annotated[
         bool, Option(None, "also the average of all policies, as agents of several seeds, and the best")
     ] = False
-    envelope: Annotated[
-        Path | None, Option("FILE.png", "draw errors over the commands of --suite envelope", recorded=False)
-    ] = None
+    envelope: Annotated[Path | None, picture("draw errors over the commands of --suite envelope")] = None
 
     def fly(self, bar: Bar, ends: ExitStack) -> SuiteResult:
         """Fly all controllers at each throttle, or at each thrust."""
@@ -127,27 +126,19 @@ class Tracking(Commanded):
 
     def _check(self) -> None:
         """Raise NeuroflightError where options exclude each other, or one has no effect."""
-        check_output(self.envelope, ".png")
         if self.one and (len(self.everybody) != 1 or len(self.throttle or ()) > 1 or self.transparency):
             raise TrainingError(
                 "--one: expected one controller (a policy, pid, pid:NAME, or betaflight) at one throttle, "
                 "without --transparency"
             )
-        if self.thrust is not None and self.throttle is not None:
-            raise TrainingError(
-                "--throttle: --thrust finds each controller's throttle; leave one of them out"
-            )
-        if self.average and self.thrust is not None:
-            raise TrainingError(
-                "--average: --thrust flies each at a throttle of its own; leave one of them out"
-            )
+        if self.thrust is not None:
+            own = "--thrust finds each controller's throttle; leave one of them out"
+            self.refuse("throttle", "average", because=own)
         if self.average and (count := sum(map(is_policy, self.controllers))) < 2:
             raise TrainingError(f"--average: {count} policies, expected at least 2")
         envelope = "envelope" in (self.task, self.suite) and not self.one
-        if self.envelope and (not envelope or self.thrust is not None):
-            raise TrainingError(
-                "--envelope: draws --task envelope, without --thrust; use --plot for the others"
-            )
+        if not envelope or self.thrust is not None:
+            self.refuse("envelope", because="draws --task envelope, without --thrust; use --plot for others")
 
     def _conditions(self) -> Conditions:
         """Return the conditions that are the same for all."""

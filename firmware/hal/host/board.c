@@ -47,28 +47,23 @@ static void host_board_motors_write(void *context, const uint16_t dshot[], size_
 {
 	struct host_board *board = context;
 
-	(void)telemetry;
 	board->motor_count = count < NF_MOTOR_COUNT_MAX ? count : NF_MOTOR_COUNT_MAX;
 	memcpy(board->dshot, dshot, board->motor_count * sizeof dshot[0]);
 }
 
 static void host_board_trace_write(void *context, const struct control_trace *trace)
 {
-	(void)context;
-	(void)trace;
 }
 
 static bool host_board_deadline_missed(void *context, uint32_t cycles)
 {
 	const struct host_board *board = context;
 
-	(void)cycles;
 	return board->control_us > 1e6 / POLICY_CONTROL_RATE_HZ;
 }
 
 static uint32_t host_board_cycles(void *context)
 {
-	(void)context;
 	return 0;
 }
 
@@ -81,18 +76,14 @@ static void host_board_power_read(void *context, struct power_sample *power)
 
 static void host_board_switch(void *context, bool on)
 {
-	(void)context;
-	(void)on;
 }
 
 static void host_board_nothing(void *context)
 {
-	(void)context;
 }
 
 static bool host_board_reset(void *context, enum nf_reboot kind)
 {
-	(void)context;
 	return kind == NF_REBOOT_FIRMWARE;
 }
 
@@ -106,7 +97,6 @@ static const struct log_device *host_board_log(void *context, enum nf_log_device
 /* Packets leave at once. */
 static uint32_t host_board_motor_restarts(void *context)
 {
-	(void)context;
 	return 0;
 }
 

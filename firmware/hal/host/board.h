@@ -1,7 +1,6 @@
 /* The simulated board of the host program and the library: sensors and motors in memory, gyro alignment as on a
  * MATEKF722. */
-#ifndef NF_HOST_BOARD_H
-#define NF_HOST_BOARD_H
+#pragma once
 
 #include "hal/host/flash_model.h"
 #include "hal/host/receiver_line.h"
@@ -36,5 +35,3 @@ struct imu_sample host_board_sample(const double rates_frd[3], const double forc
 
 /* `board` for the core: no trace, no clock, no beeper, LED, watchdog or reset. */
 struct hal host_board_hal(struct host_board *board);
-
-#endif

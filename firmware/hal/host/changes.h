@@ -1,6 +1,5 @@
 /* Changes to settings as a user writes them: NAME=VALUE. */
-#ifndef NF_HOST_CHANGES_H
-#define NF_HOST_CHANGES_H
+#pragma once
 
 #include <stdbool.h>
 
@@ -9,5 +8,3 @@
 /* Reads `text`, its value as settings_text.h does. Returns false, `change` unset, if the name is no setting's or the
  * value is none of it or beyond its limits. Mode ranges are also taken as the number that SETTING_GET tells. */
 bool change_parse(const char *text, struct setting_change *change);
-
-#endif

@@ -1,14 +1,9 @@
 /* Converts the simulator's values to those of a board's sensors. Pure functions. */
-#ifndef NF_HOST_CONVERT_H
-#define NF_HOST_CONVERT_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
+#include "port/hal.h"
 #include "port/imu.h"
-#include "port/power_sample.h"
 #include "receiver/channels.h"
 
 /* Body rates [rad/s], axes forward, right, down, to the counts of a chip with this alignment, +-2000 deg/s over int16,
@@ -34,5 +29,3 @@ size_t convert_frame(uint32_t protocol, const uint16_t channels_us[NF_CHANNEL_CO
 
 /* The motor fraction of a DShot value, as an ESC decodes it: 0 for 0, else (value - 48) / 1999. */
 float convert_dshot(uint16_t value);
-
-#endif

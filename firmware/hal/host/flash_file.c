@@ -19,35 +19,24 @@
 #define MODE 0666u /* as the umask allows */
 #define NEW_NAME ".flash-XXXXXX"
 
-/* Names of errors of our own: none of the system's says what to do. */
+/* Errors of our own: none of the system's says what to do. */
 enum { FLASH_FILE_KIND = -1, FLASH_FILE_SIZE = -2, FLASH_FILE_ZEROS = -3, FLASH_FILE_USED = -4 };
+_Static_assert(NF_FLASH_BYTES == 524288, "as the words below say");
 
 static bool flash_file_refused(const struct flash_file *flash, int error)
 {
-	char expected[80] = "name a file in a place that can be written";
-	const char *what = error > 0 ? strerror(error) : "";
+	static const struct {
+		const char *what, *expected;
+	} own[] = {
+		[-FLASH_FILE_KIND] = { "it is no file", "name a file in a place that can be written" },
+		[-FLASH_FILE_SIZE] = { "it has another size", "expected none or one of 524288 bytes, name another" },
+		[-FLASH_FILE_ZEROS] = { "a sector of it is all zeros, which flash never is: it was not written whole",
+					"remove it or name another" },
+		[-FLASH_FILE_USED] = { "another program uses it", "end that one or name another" },
+	};
 
-	switch (error) {
-	case FLASH_FILE_KIND:
-		what = "it is no file";
-		break;
-	case FLASH_FILE_SIZE:
-		what = "it has another size";
-		snprintf(expected, sizeof expected, "expected none or one of %u bytes, name another",
-			 (unsigned)NF_FLASH_BYTES);
-		break;
-	case FLASH_FILE_ZEROS:
-		what = "a sector of it is all zeros, which flash never is: it was not written whole";
-		snprintf(expected, sizeof expected, "remove it or name another");
-		break;
-	case FLASH_FILE_USED:
-		what = "another program uses it";
-		snprintf(expected, sizeof expected, "end that one or name another");
-		break;
-	default:
-		break;
-	}
-	fprintf(stderr, "neuroflight: flash file %s: %s; %s\n", flash->path, what, expected);
+	fprintf(stderr, "neuroflight: flash file %s: %s; %s\n", flash->path,
+		error < 0 ? own[-error].what : strerror(error), own[error < 0 ? -error : -FLASH_FILE_KIND].expected);
 	return false;
 }
 

@@ -1,6 +1,5 @@
 /* The bytes of a flash model: a file that outlives the program, or memory that does not. */
-#ifndef HOST_FLASH_FILE_H
-#define HOST_FLASH_FILE_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -24,5 +23,3 @@ bool flash_file_open(struct flash_file *flash, const char *path, void (*install)
 /* `model`, a flash model over `bytes`, for the core: what it changes is in the file at once. Where the file does not
  * take it, erasing and programming fail. `flash` must outlive what it is handed to. */
 struct flash flash_file_interface(struct flash_file *flash, const struct flash *model);
-
-#endif

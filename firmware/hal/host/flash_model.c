@@ -83,15 +83,17 @@ static bool flash_model_runs(const struct flash_model *model, uint32_t address, 
 	return address < NF_FLASH_BOOT_ADDRESS + NF_FLASH_BOOT_SIZE || (address < end && address + bytes > begin);
 }
 
-const uint8_t *flash_model_at(const struct flash_model *model, uint32_t address)
+const uint8_t *flash_model_at(void *context, uint32_t address)
 {
+	const struct flash_model *model = context;
 	const uint32_t offset = address - NF_FLASH_BASE;
 
 	return offset < NF_FLASH_BYTES ? model->bytes + offset : NULL;
 }
 
-bool flash_model_erase(struct flash_model *model, unsigned sector)
+bool flash_model_erase(void *context, unsigned sector)
 {
+	struct flash_model *model = context;
 	bool cut;
 
 	if (sector >= NF_FLASH_SECTORS_COUNT ||
@@ -118,8 +120,9 @@ static bool flash_model_program_word(struct flash_model *model, uint32_t offset,
 	return whole && (before & wanted) == wanted;
 }
 
-bool flash_model_program(struct flash_model *model, uint32_t address, const void *words, size_t bytes)
+bool flash_model_program(void *context, uint32_t address, const void *words, size_t bytes)
 {
+	struct flash_model *model = context;
 	const uint32_t offset = address - NF_FLASH_BASE;
 	bool good = true;
 
@@ -134,25 +137,9 @@ bool flash_model_program(struct flash_model *model, uint32_t address, const void
 	return good;
 }
 
-static const uint8_t *flash_model_callback_at(void *context, uint32_t address)
-{
-	return flash_model_at(context, address);
-}
-
-static bool flash_model_callback_erase(void *context, unsigned sector)
-{
-	return flash_model_erase(context, sector);
-}
-
-static bool flash_model_callback_program(void *context, uint32_t address, const void *words, size_t bytes)
-{
-	return flash_model_program(context, address, words, bytes);
-}
-
 struct flash flash_model_interface(struct flash_model *model)
 {
-	return (struct flash){ .context = model,
-			       .at = flash_model_callback_at,
-			       .erase = flash_model_callback_erase,
-			       .program = flash_model_callback_program };
+	return (struct flash){
+		.context = model, .at = flash_model_at, .erase = flash_model_erase, .program = flash_model_program
+	};
 }

@@ -1,11 +1,6 @@
 /* A model of the board's flash: erasing sets a sector's bits, programming clears bits, a word at a time, and power may
  * be cut at any operation. No file and no system call; flash_file.h keeps one across runs. */
-#ifndef HOST_FLASH_MODEL_H
-#define HOST_FLASH_MODEL_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "port/flash.h"
@@ -39,12 +34,10 @@ void flash_model_init(struct flash_model *model, uint8_t *bytes);
 /* Power will go at the operation `at` from here, 0 being the next. `seed`: of the bits it leaves. */
 void flash_model_cut(struct flash_model *model, uint32_t at, enum flash_cut cut, uint32_t seed);
 
-/* As in flash.h; NULL and false where flash does not reach. */
-const uint8_t *flash_model_at(const struct flash_model *model, uint32_t address);
-bool flash_model_erase(struct flash_model *model, unsigned sector);
-bool flash_model_program(struct flash_model *model, uint32_t address, const void *words, size_t bytes);
+/* As those of struct flash, `context` a flash model; NULL and false where flash does not reach. */
+const uint8_t *flash_model_at(void *context, uint32_t address);
+bool flash_model_erase(void *context, unsigned sector);
+bool flash_model_program(void *context, uint32_t address, const void *words, size_t bytes);
 
 /* `model` for the core; it must outlive what it is handed to. */
 struct flash flash_model_interface(struct flash_model *model);
-
-#endif

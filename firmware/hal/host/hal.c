@@ -57,7 +57,6 @@ static volatile sig_atomic_t ended;
 
 static void host_end(int signal_number)
 {
-	(void)signal_number;
 	ended = 1;
 }
 
@@ -79,7 +78,6 @@ static void host_hold_signals(void)
 
 static void host_trace_write(void *context, const struct control_trace *trace)
 {
-	(void)context;
 	link_send_trace(&host.link, trace);
 }
 
@@ -96,14 +94,12 @@ static uint32_t host_cycles(void *context)
 {
 	struct timespec used;
 
-	(void)context;
 	clock_gettime(CLOCK_THREAD_CPUTIME_ID, &used);
 	return (uint32_t)((uint64_t)used.tv_sec * 1000000000u + (uint64_t)used.tv_nsec);
 }
 
 static bool host_reset(void *context, enum nf_reboot kind)
 {
-	(void)context;
 	if (kind != NF_REBOOT_FIRMWARE)
 		return false;
 	host.restarts = true;
@@ -187,21 +183,21 @@ static void host_say_deaf(void)
 static void host_take_receiver_and_power(void)
 {
 	uint16_t channels_us[NF_CHANNEL_COUNT];
-	struct link_power power;
+	struct power_packet power;
 
 	while (link_take_receiver(&host.link, channels_us))
 		if (!receiver_line_put(&host.board.line, channels_us))
 			host_say_deaf();
 	while (link_take_power(&host.link, &power)) {
-		host.board.power = convert_power(power.volts, power.amps);
-		host.board.control_us = power.control_us;
+		host.board.power = convert_power((double)power.volts, (double)power.amps);
+		host.board.control_us = (double)power.control_us;
 	}
 }
 
 /* One state packet: one sample, one reply. Returns whether there was one. */
 static bool host_step(const struct hal_handlers *handlers)
 {
-	struct link_state state;
+	struct state_packet state;
 
 	if (!link_take_state(&host.link, &state))
 		return false;
@@ -348,7 +344,6 @@ int hal_refuse(enum nf_err why)
 /* A program's faults are its operating system's. */
 bool hal_fault_take(struct fault_record *record)
 {
-	(void)record;
 	return false;
 }
 

@@ -4,7 +4,6 @@
 #include <arpa/inet.h>
 #include <errno.h>
 #include <math.h>
-#include <netinet/in.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/socket.h>
@@ -21,17 +20,9 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "packets are read and 
 #define LATE_IN_A_ROW 10 /* after so many the sender's clock has gone back; 0.1 s at 100 packets/s */
 
 /* The packets of toolchain/contract/simulator_link.py. */
-struct state_packet {
-	double time_s, rates_frd[3], force_frd[3], ignored[11];
-};
 struct receiver_packet {
 	double time_s;
 	uint16_t channels_us[NF_CHANNEL_COUNT];
-};
-struct __attribute__((packed)) power_packet {
-	uint32_t magic;
-	double time_s;
-	float volts, amps, control_us;
 };
 struct servo_packet {
 	uint16_t count, pad;
@@ -49,15 +40,6 @@ _Static_assert(sizeof(struct power_packet) == NF_SIM_POWER_BYTES, "power");
 _Static_assert(sizeof(float[MOTOR_PACKET_MOTORS]) == NF_SIM_MOTOR_BYTES, "motor");
 _Static_assert(sizeof(struct servo_packet) == NF_SIM_SERVO_BYTES, "servo");
 _Static_assert(sizeof(struct trace_packet) == NF_SIM_TRACE_BYTES, "trace");
-
-static struct sockaddr_in link_loopback(unsigned port)
-{
-	return (struct sockaddr_in){
-		.sin_family = AF_INET,
-		.sin_port = htons((uint16_t)port),
-		.sin_addr.s_addr = htonl(INADDR_LOOPBACK),
-	};
-}
 
 static int link_bind(const char *name, unsigned port)
 {
@@ -128,22 +110,16 @@ static void link_ignore(struct link *link, const char *name, size_t size, size_t
 			name, size, expected);
 }
 
-bool link_take_state(struct link *link, struct link_state *state)
+bool link_take_state(struct link *link, struct state_packet *state)
 {
 	uint8_t bytes[PACKET_MAX];
-	struct state_packet packet;
 	const size_t size = link_take(link->state, bytes);
 
-	if (size != sizeof packet) {
-		if (size > 0)
-			link_ignore(link, "state", size, sizeof packet);
-		return false;
-	}
-	memcpy(&packet, bytes, sizeof packet);
-	state->time_s = packet.time_s;
-	memcpy(state->rates_frd, packet.rates_frd, sizeof state->rates_frd);
-	memcpy(state->force_frd, packet.force_frd, sizeof state->force_frd);
-	return true;
+	if (size == sizeof *state)
+		memcpy(state, bytes, sizeof *state);
+	else if (size > 0)
+		link_ignore(link, "state", size, sizeof *state);
+	return size == sizeof *state;
 }
 
 bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT])
@@ -171,20 +147,15 @@ bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT
 	return false;
 }
 
-bool link_take_power(struct link *link, struct link_power *power)
+bool link_take_power(struct link *link, struct power_packet *power)
 {
 	uint8_t bytes[PACKET_MAX];
-	struct power_packet packet;
 
 	for (size_t size; (size = link_take(link->power, bytes)) > 0;) {
-		memcpy(&packet, bytes, sizeof packet);
-		if (size == sizeof packet && packet.magic == NF_SIM_POWER_MAGIC) {
-			power->volts = (double)packet.volts;
-			power->amps = (double)packet.amps;
-			power->control_us = (double)packet.control_us;
+		memcpy(power, bytes, sizeof *power);
+		if (size == sizeof *power && power->magic == NF_SIM_POWER_MAGIC)
 			return true;
-		}
-		link_ignore(link, "power", size, sizeof packet);
+		link_ignore(link, "power", size, sizeof *power);
 	}
 	return false;
 }

@@ -1,10 +1,7 @@
 /* The simulator's wire: UDP packets on loopback, Betaflight's format, little-endian. */
-#ifndef NF_HOST_LINK_H
-#define NF_HOST_LINK_H
+#pragma once
 
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#include <netinet/in.h>
 
 #include "common/status.h"
 #include "hal/host/options.h"
@@ -24,24 +21,37 @@ bool link_open(struct link *link, const struct options *options);
 
 void link_close(struct link *link);
 
+/* The address of that port of this computer. */
+static inline struct sockaddr_in link_loopback(unsigned port)
+{
+	return (struct sockaddr_in){
+		.sin_family = AF_INET,
+		.sin_port = htons((uint16_t)port),
+		.sin_addr.s_addr = htonl(INADDR_LOOPBACK),
+	};
+}
+
 /* The port that a socket is bound to. */
 unsigned link_port(int bound);
 
-/* Content of a state packet; axes forward, right, down. */
-struct link_state {
+/* A state packet; axes forward, right, down. */
+struct state_packet {
 	double time_s;
 	double rates_frd[3]; /* rad/s */
 	double force_frd[3]; /* specific force, m/s^2 */
+	double ignored[11];
 };
 
-/* Content of a power packet. */
-struct link_power {
-	double volts, amps;
-	double control_us; /* that each control step takes; 0: not told */
+/* A power packet. */
+struct __attribute__((packed)) power_packet {
+	uint32_t magic;
+	double time_s;
+	float volts, amps;
+	float control_us; /* that each control step takes; 0: not told */
 };
 
 /* Takes one waiting state packet. False if none was waiting or it was malformed. */
-bool link_take_state(struct link *link, struct link_state *state);
+bool link_take_state(struct link *link, struct state_packet *state);
 
 /* Takes one waiting receiver packet; returns false if no good one waits. A packet whose time stamp is older than the
  * last one's was overtaken on its way and is dropped, as it would undo the pilot's newer input. If it is more than 1 s
@@ -49,12 +59,10 @@ bool link_take_state(struct link *link, struct link_state *state);
 bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT]);
 
 /* Takes one waiting power packet. False if no good one waits. */
-bool link_take_power(struct link *link, struct link_power *power);
+bool link_take_power(struct link *link, struct power_packet *power);
 
 /* The one reply to a state packet: on the motor port, or for more than four motors on the servo port. */
 void link_send_motors(const struct link *link, const uint16_t dshot[], size_t count);
 
 /* The control step, if somebody asked for traces. */
 void link_send_trace(const struct link *link, const struct control_trace *trace);
-
-#endif

@@ -10,7 +10,6 @@
 
 static void log_file_step(void *context)
 {
-	(void)context;
 }
 
 static void log_file_status(void *context, struct log_device_status *status)

@@ -1,7 +1,6 @@
 /* The host program's device of the log: a file that logs are appended to. Those of this run of the program can be read
  * back while the file is an ordinary one; what it held before is left alone, and not listed. */
-#ifndef NF_HOST_LOG_FILE_H
-#define NF_HOST_LOG_FILE_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -33,5 +32,3 @@ struct log_file {
 
 /* Opens the file, made if there is none, and leaves what it holds. False after one line on stderr: it cannot be written. */
 bool log_file_open(struct log_file *file, const char *path);
-
-#endif

@@ -2,7 +2,6 @@
 
 static void log_pipe_step(void *context)
 {
-	(void)context;
 }
 
 static void log_pipe_status(void *context, struct log_device_status *status)

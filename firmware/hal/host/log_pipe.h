@@ -1,6 +1,5 @@
 /* The library's device of the log: memory that its caller drains. */
-#ifndef NF_HOST_LOG_PIPE_H
-#define NF_HOST_LOG_PIPE_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -23,5 +22,3 @@ void log_pipe_init(struct log_pipe *pipe);
 
 /* Takes up to `capacity` bytes out; returns how many. */
 size_t log_pipe_drain(struct log_pipe *pipe, uint8_t *bytes, size_t capacity);
-
-#endif

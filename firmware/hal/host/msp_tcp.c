@@ -1,15 +1,14 @@
 #define _GNU_SOURCE
 #include "hal/host/msp_tcp.h"
 
-#include <arpa/inet.h>
 #include <errno.h>
-#include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "hal/host/link.h"
 #include "msp/msp.h"
 
 #define SEND_BYTES 65536 /* of a connection: a stream has gaps rather than become old */
@@ -18,11 +17,7 @@
 bool msp_tcp_open(struct msp_tcp *tcp, unsigned port)
 {
 	const int on = 1;
-	const struct sockaddr_in address = {
-		.sin_family = AF_INET,
-		.sin_port = htons((uint16_t)port),
-		.sin_addr.s_addr = htonl(INADDR_LOOPBACK),
-	};
+	const struct sockaddr_in address = link_loopback(port);
 
 	*tcp = (struct msp_tcp){ 0 };
 	for (unsigned i = 0; i < NF_MSP_PORT_COUNT; ++i)

@@ -1,11 +1,7 @@
 /* MSP over TCP on loopback: one client a port of the program, all at one listening socket. One more is refused. */
-#ifndef NF_HOST_MSP_TCP_H
-#define NF_HOST_MSP_TCP_H
+#pragma once
 
 #include <poll.h>
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
 
 #include "nf_contract.h"
 #include "port/hal.h"
@@ -37,5 +33,3 @@ void msp_tcp_serve(struct msp_tcp *tcp, const struct hal_handlers *handlers);
 
 /* Called after each step of the program: sends unsolicited output, as much as the connections take. */
 void msp_tcp_speak(struct msp_tcp *tcp, const struct hal_handlers *handlers);
-
-#endif

@@ -1,6 +1,5 @@
 /* The host program's arguments. */
-#ifndef NF_HOST_OPTIONS_H
-#define NF_HOST_OPTIONS_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -20,9 +19,8 @@ struct options {
 	size_t change_count;
 	const char *replay;                             /* a flight to replay instead of being flown; NULL: none */
 	bool with_parent;                               /* end when the parent process does */
+	bool help;                                      /* print them and end */
 };
 
 /* Returns HAL_RUN, or the exit code: 0 after --help, 1 after one line on stderr. */
 int options_parse(struct options *options, int argc, char **argv);
-
-#endif

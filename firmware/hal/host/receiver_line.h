@@ -1,10 +1,5 @@
 /* The receiver's line: a queue of bytes, filled by frames. */
-#ifndef NF_HOST_RECEIVER_LINE_H
-#define NF_HOST_RECEIVER_LINE_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "hal/host/convert.h"
 #include "nf_contract.h"
@@ -26,5 +21,3 @@ bool receiver_line_put(struct receiver_line *line, const uint16_t channels_us[NF
 
 /* Takes up to `capacity` bytes off, oldest first; returns how many. */
 size_t receiver_line_take(struct receiver_line *line, uint8_t *bytes, size_t capacity);
-
-#endif

@@ -35,18 +35,20 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 {
 	struct reference *r = self;
 	const struct background_config config = {
-		.hal = &r->hal,
+		.board = {
+			.hal = &r->hal,
+			.alignment = HOST_GYRO_ALIGNMENT,
+			.gyro_rate_hz = gyro_hz,
+			.changes = r->changes,
+			.change_count = count,
+			.bank = HOST_BANK,
+			.identity = host_identity,
+			.cycles_hz = 1000000000u,
+		},
 		.firmware = &r->firmware,
 		.weights = r->weights,
 		.stats = r->stats,
-		.alignment = HOST_GYRO_ALIGNMENT,
 		.pid = &pid_gains_built_in,
-		.identity = &host_identity,
-		.bank = HOST_BANK,
-		.changes = r->changes,
-		.change_count = count,
-		.gyro_rate_hz = gyro_hz,
-		.cycles_hz = 1000000000u,
 		.log = &r->log,
 	};
 

@@ -1,10 +1,5 @@
 /* The firmware as a library, for callers in another language: no socket, no clock, no global state. */
-#ifndef NF_HOST_REFERENCE_H
-#define NF_HOST_REFERENCE_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "blackbox/log_record.h"
 #include "hal/host/replay.h"
@@ -79,5 +74,3 @@ void reference_link_lost(void *self, unsigned port);
 
 /* Is there more to say on that port before it takes more bytes? */
 bool reference_link_busy(void *self, unsigned port);
-
-#endif

@@ -88,18 +88,3 @@ enum replay_result replay_run(struct firmware *fw, const struct replay_step *ste
 	firmware_deadline(fw, (flags & LOG_EDGE_MISSED) != 0);
 	return REPLAY_DONE;
 }
-
-void replay_step_of(struct replay_step *step, const struct log_record *record)
-{
-	*step = (struct replay_step){
-		.forbidden = record->forbidden,
-		.voltage_gain = record->voltage_gain,
-		.edge_flags = record->edge_flags,
-		.lost = record->lost,
-		.samples = record->samples,
-		.receiver_count = record->receiver_count,
-	};
-	memcpy(step->accel, record->accel, sizeof step->accel);
-	memcpy(step->gyro, record->gyro, sizeof record->gyro);
-	memcpy(step->receiver_bytes, record->receiver_bytes, sizeof step->receiver_bytes);
-}

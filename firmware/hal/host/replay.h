@@ -2,12 +2,7 @@
  *
  * Of the accelerometer a log has the control step's words alone, which are all that the control path uses; those of the samples
  * between are made so that they repeat the one before, or not, as the log says. */
-#ifndef NF_HOST_REPLAY_H
-#define NF_HOST_REPLAY_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "blackbox/log_record.h"
 #include "firmware.h"
@@ -32,8 +27,3 @@ bool firmware_restore(struct firmware *fw, const uint8_t *bytes, size_t count, u
 /* One control step and the samples since the one before. Writes the DShot values of each output. What came of it is told by
  * firmware_log. Not REPLAY_DONE: `fw` is to be restored anew. */
 enum replay_result replay_run(struct firmware *fw, const struct replay_step *step, uint16_t dshot[POLICY_ACTION_COUNT]);
-
-/* Fills in a step from a record. */
-void replay_step_of(struct replay_step *step, const struct log_record *record);
-
-#endif

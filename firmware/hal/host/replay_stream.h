@@ -1,8 +1,5 @@
 /* The host program's --replay: a flight comes as a stream, what comes of each control step goes to stdout. */
-#ifndef NF_HOST_REPLAY_STREAM_H
-#define NF_HOST_REPLAY_STREAM_H
-
-#include <stdint.h>
+#pragma once
 
 #include "firmware.h"
 #include "nf_contract.h"
@@ -13,5 +10,3 @@
 /* Reads a stream from the file `path`, "-" for stdin, and writes a struct replay_answer for each control step. Returns the
  * program's exit code: 0, or 1 after one line on stderr. */
 int replay_stream_run(struct firmware *fw, const char *path);
-
-#endif

@@ -12,13 +12,7 @@
 #include "hal/stm32f7/core/stop.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
-#include "hal/stm32f7/devices/card_spi.h"
-#include "hal/stm32f7/devices/gyro_chip.h"
-#include "hal/stm32f7/devices/log_uart.h"
-#include "hal/stm32f7/devices/motors.h"
-#include "hal/stm32f7/devices/msp_uart.h"
-#include "hal/stm32f7/devices/power.h"
-#include "hal/stm32f7/devices/receiver_line.h"
+#include "hal/stm32f7/devices/devices.h"
 #include "hal/stm32f7/peripherals/flash_memory.h"
 #include "nf_contract.h"
 #include "policy.h"
@@ -45,67 +39,41 @@ static volatile bool program_runs;
 /* Traces leave the board by a log, which this target does not keep yet; MSP shows the last step. */
 static void hal_trace_write(void *context, const struct control_trace *trace)
 {
-	(void)context;
 	fault_note_steps(trace->step, trace->armed != 0u);
 }
 
 static uint32_t hal_cycles(void *context)
 {
-	(void)context;
 	return time_cycles();
 }
 
 static bool hal_deadline_missed(void *context, uint32_t cycles)
 {
-	(void)context;
 	return cycles > CONTROL_CYCLES;
-}
-
-static void hal_power_read(void *context, struct power_sample *power)
-{
-	(void)context;
-	power_read(power);
 }
 
 static void hal_beeper(void *context, bool on)
 {
-	(void)context;
 	gpio_write(BOARD_BEEPER, on);
 }
 
 static void hal_led(void *context, bool on)
 {
-	(void)context;
 	gpio_write(BOARD_LED0, !on);
 }
 
 static void hal_watchdog_feed(void *context)
 {
-	(void)context;
 	watchdog_feed();
 }
 
 static const uint8_t *hal_flash_at(void *context, uint32_t address)
 {
-	(void)context;
 	return (const uint8_t *)address;
-}
-
-static bool hal_flash_erase(void *context, unsigned sector)
-{
-	(void)context;
-	return flash_memory_erase(sector);
-}
-
-static bool hal_flash_program(void *context, uint32_t address, const void *words, size_t bytes)
-{
-	(void)context;
-	return flash_memory_program(address, words, bytes);
 }
 
 static bool hal_reset(void *context, enum nf_reboot kind)
 {
-	(void)context;
 	restart.wanted = true;
 	restart.kind = kind;
 	restart.since_ms = time_ms();
@@ -120,14 +88,14 @@ static const struct hal functions = {
 	.trace_write = hal_trace_write,
 	.deadline_missed = hal_deadline_missed,
 	.cycles = hal_cycles,
-	.power_read = hal_power_read,
+	.power_read = power_read,
 	.motor_restarts = motors_restarts,
 	.beeper = hal_beeper,
 	.led = hal_led,
 	.watchdog_feed = hal_watchdog_feed,
 	.reset = hal_reset,
 	.log = hal_log,
-	.flash = { .at = hal_flash_at, .erase = hal_flash_erase, .program = hal_flash_program },
+	.flash = { .at = hal_flash_at, .erase = flash_memory_erase, .program = flash_memory_program },
 };
 
 /* With the settings that the program reads as well. */
@@ -135,7 +103,6 @@ static const struct log_device *hal_log(void *context, enum nf_log_device device
 {
 	struct nf_settings settings;
 
-	(void)context;
 	if (device == NF_LOG_DEVICE_CARD)
 		return card_spi_start();
 	(void)settings_load(&settings, &functions.flash);
@@ -156,8 +123,6 @@ static void hal_start_motors(void)
 
 int hal_init(int argc, char **argv, struct hal_info *info)
 {
-	(void)argc;
-	(void)argv;
 	core_start();
 	fault_start();
 	if (!time_cycles_start() || !clock_start())
@@ -221,7 +186,6 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 
 int hal_refuse(enum nf_err why)
 {
-	(void)why;
 	stop(LED_REFUSED);
 }
 
@@ -231,14 +195,4 @@ void tick_handler(void)
 	if (!program_runs)
 		motors_write(NULL, NULL, 0, false); /* missing values stop */
 	gyro_tick();
-}
-
-bool hal_fault_take(struct fault_record *record)
-{
-	return fault_take(record);
-}
-
-void hal_fault_clear(void)
-{
-	fault_clear();
 }

@@ -47,9 +47,7 @@ void blackbox_init(struct blackbox *b, const struct blackbox_config *config)
 
 	*b = (struct blackbox){ .config = *config, .pieces = SLICE_PIECES };
 	for (unsigned slot = 0; slot < NF_MODE_SLOT_COUNT; ++slot) {
-		union setting_value packed;
-		settings_get(s, SETTING_AT_mode1 + slot, &packed);
-		const struct mode_range range = mode_range_unpack(packed.as_mode);
+		const struct mode_range range = mode_range_unpack(settings_whole(s, SETTING_AT_mode1 + slot));
 		b->switched |= range.mode == NF_MODE_BLACKBOX && range.low < range.high;
 	}
 	blackbox_init_mount(&b->mount, config->gyro);

@@ -3,12 +3,7 @@
  *
  * A log begins with the state of the firmware and the steps behind it: while none is written, the state is taken anew from time
  * to time and the steps since then stay in the ring. It ends some time after disarming. */
-#ifndef NF_BLACKBOX_H
-#define NF_BLACKBOX_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "blackbox/log_frames.h"
 #include "blackbox/log_header.h"
@@ -84,5 +79,3 @@ enum nf_refusal blackbox_entry(struct blackbox *blackbox, unsigned index, struct
 enum nf_refusal blackbox_read(struct blackbox *blackbox, unsigned index, uint32_t offset, uint8_t *bytes, size_t *count,
 			      bool *later);
 enum nf_refusal blackbox_erase(struct blackbox *blackbox, bool *later);
-
-#endif

@@ -1,7 +1,6 @@
 /* How the ecosystem's blackbox writes numbers (data version 2). Each function writes behind *at and moves it on; the caller
  * has room. */
-#ifndef NF_LOG_ENCODING_H
-#define NF_LOG_ENCODING_H
+#pragma once
 
 #include <stdint.h>
 
@@ -25,5 +24,3 @@ void log_put_tag8_8svb(uint8_t **at, const int32_t values[], unsigned count);
 
 /* Within 24 bits. */
 void log_put_tag2_3s32(uint8_t **at, const int32_t values[3]);
-
-#endif

@@ -3,7 +3,6 @@
 #include <string.h>
 
 #include "blackbox/log_encoding.h"
-#include "blackbox/log_text.h"
 #include "common/crc32.h"
 #include "common/limit.h"
 #include "common/nf_math.h"
@@ -83,33 +82,23 @@ static unsigned frames_together(const struct log_frames *f, enum log_frame frame
 }
 
 /* --- The header's lines ------------------------------------------------------------------------------------------ */
-static void frames_name(char **at, const char *name, unsigned index)
+void log_frames_line(struct printer *out, const struct log_frames *f, enum log_frame frame, enum log_field_line line)
 {
-	log_text(at, name);
-	if (*(*at - 1) == '[') {
-		log_text_whole(at, index);
-		log_text(at, "]");
-	}
-}
-
-size_t log_frames_line(const struct log_frames *f, enum log_frame frame, enum log_field_line line, char text[])
-{
-	char *at = text;
-
 	for (unsigned i = 0; i < f->count; ++i) {
 		const struct log_field *field = &f->fields[i];
+		const struct row *row = &rows[field->row];
+		const unsigned number = field->index + (field->row == ROW_DEBUG ? LOG_CHIRP_FIELDS : 0u);
+
 		if (i > 0)
-			log_text(&at, ",");
+			printer_say(out, ",");
 		if (line == LOG_LINE_NAME)
-			frames_name(&at, rows[field->row].name,
-				    field->index + (field->row == ROW_DEBUG ? LOG_CHIRP_FIELDS : 0u));
-		else if (line == LOG_LINE_SIGNED)
-			log_text_whole(&at, rows[field->row].is_signed);
+			printer_say(out, row->name[row->letters - 1u] == '[' ? "%s%u]" : "%s", row->name, number);
 		else
-			log_text_whole(&at,
-				       line == LOG_LINE_PREDICTOR ? field->predictor[frame] : field->encoding[frame]);
+			printer_say(out, "%u",
+				    line == LOG_LINE_SIGNED    ? row->is_signed :
+				    line == LOG_LINE_PREDICTOR ? field->predictor[frame] :
+								 field->encoding[frame]);
 	}
-	return (size_t)(at - text);
 }
 
 /* --- Which fields ------------------------------------------------------------------------------------------------ */
@@ -212,17 +201,10 @@ static int32_t frames_rounded(float value, float scale, float most)
 #define CYCLES_MAX 0x7FFFFFFu
 #define COUNTS_DEG_S ((float)NF_GYRO_FULL_SCALE_DEG_S / (float)NF_GYRO_COUNTS)
 
-static int32_t frames_deg_s(float rad_s)
+static void frames_deg_s(const float rad_s[3], int32_t out[3])
 {
-	return frames_rounded(rad_s, NF_DEG_PER_RAD, DEG_S_MAX);
-}
-
-static int32_t frames_bits(float value)
-{
-	int32_t bits;
-
-	memcpy(&bits, &value, sizeof bits);
-	return bits;
+	for (unsigned i = 0; i < 3; ++i)
+		out[i] = frames_rounded(rad_s[i], NF_DEG_PER_RAD, DEG_S_MAX);
 }
 
 /* As the ecosystem has sticks: 500 to a side, its yaw to the left; throttle 1000 to 2000. */
@@ -264,12 +246,12 @@ static void frames_acceleration(const struct log_step *step, int32_t out[3])
 /* As the ecosystem's chirp analysis reads them: phase [0.2 mrad], axis, frequency [0.1 Hz], added setpoint [deg/s]. */
 static void frames_chirp(const struct log_record *r, int32_t out[LOG_CHIRP_FIELDS])
 {
-	const bool runs = r->chirp_frequency_hz > 0.0f;
+	const bool runs = r->chirp.frequency_hz > 0.0f;
 
-	out[0] = frames_rounded(r->chirp_phase, NF_TAU * LOG_CHIRP_PHASE_SCALE, THREE_BYTES_MAX);
-	out[1] = runs ? r->chirp_axis : -1;
-	out[2] = frames_rounded(r->chirp_frequency_hz, 10.0f, THREE_BYTES_MAX);
-	out[3] = frames_rounded(r->chirp_added, NF_DEG_PER_RAD, THREE_BYTES_MAX);
+	out[0] = frames_rounded(r->chirp.phase, NF_TAU * LOG_CHIRP_PHASE_SCALE, THREE_BYTES_MAX);
+	out[1] = runs ? r->chirp.axis : -1;
+	out[2] = frames_rounded(r->chirp.frequency_hz, 10.0f, THREE_BYTES_MAX);
+	out[3] = frames_rounded(r->chirp.added, NF_DEG_PER_RAD, THREE_BYTES_MAX);
 }
 
 static void frames_debug(const struct log_frames *f, const struct log_record *r, int32_t out[])
@@ -340,8 +322,7 @@ static void frames_load_row(const struct log_frames *f, const struct log_step *s
 		frames_sticks(r->sticks_us, out);
 		break;
 	case ROW_SETPOINT:
-		for (unsigned i = 0; i < 3; ++i)
-			out[i] = frames_deg_s(t->setpoint[i]);
+		frames_deg_s(t->setpoint, out);
 		out[3] = frames_rounded(t->throttle, 1000.0f, TWO_BYTES_MAX);
 		break;
 	case ROW_VOLTS:
@@ -354,8 +335,7 @@ static void frames_load_row(const struct log_frames *f, const struct log_step *s
 		out[0] = (int32_t)((r->receiver_quality < 100u ? r->receiver_quality : 100u) * RSSI_MAX / 100u);
 		break;
 	case ROW_GYRO:
-		for (unsigned i = 0; i < 3; ++i)
-			out[i] = frames_deg_s(t->gyro[i]);
+		frames_deg_s(t->gyro, out);
 		break;
 	case ROW_UNFILTERED:
 		frames_unfiltered(step, out);
@@ -381,13 +361,11 @@ static void frames_load_row(const struct log_frames *f, const struct log_step *s
 		frames_debug(f, r, out);
 		break;
 	case ROW_EXACT_GYRO:
-		for (unsigned i = 0; i < 3; ++i)
-			out[i] = frames_bits(t->gyro[i]);
+		memcpy(out, t->gyro, sizeof t->gyro);
 		break;
 	case ROW_EXACT_SETPOINT:
-		for (unsigned i = 0; i < 3; ++i)
-			out[i] = frames_bits(t->setpoint[i]);
-		out[3] = frames_bits(t->throttle);
+		memcpy(out, t->setpoint, sizeof t->setpoint);
+		memcpy(out + 3, &t->throttle, sizeof t->throttle);
 		break;
 	case ROW_RAW:
 		frames_raw(f, r, out);

@@ -1,13 +1,9 @@
 /* A log's frames: what each field is, how it is predicted and written, in one table from which the header's lines and the
  * frames are made. docs/reference/blackbox-format.md tells the fields. */
-#ifndef NF_LOG_FRAMES_H
-#define NF_LOG_FRAMES_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "blackbox/log_record.h"
+#include "common/printer.h"
 #include "nf_contract.h"
 
 #define LOG_INTRA_INTERVAL 32u /* control steps; a multiple of each divider */
@@ -97,8 +93,7 @@ size_t log_frames_slow(const struct log_slow *slow, uint8_t bytes[NF_LOG_FRAME_B
 size_t log_frames_event(uint8_t bytes[NF_LOG_FRAME_BYTES_MAX], enum nf_log_event event, const uint32_t values[],
 			unsigned count);
 
-/* One line of the header about the fields, without its name; returns the characters, which need no end. */
-size_t log_frames_line(const struct log_frames *frames, enum log_frame frame, enum log_field_line line, char text[]);
-size_t log_slow_line(enum log_field_line line, char text[]);
-
-#endif
+/* One line of the header about the fields, without its name. */
+void log_frames_line(struct printer *out, const struct log_frames *frames, enum log_frame frame,
+		     enum log_field_line line);
+void log_slow_line(struct printer *out, enum log_field_line line);

@@ -1,11 +1,6 @@
 /* The lines that a log begins with: its fields, what the ecosystem's tools want to know, and (nf_) what it takes to fly its
  * inputs again. docs/reference/blackbox-format.md tells each. */
-#ifndef NF_LOG_HEADER_H
-#define NF_LOG_HEADER_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "blackbox/log_frames.h"
 #include "blackbox/log_snapshot.h"
@@ -40,5 +35,3 @@ struct log_header {
 /* Writes the next line, its end included; returns its characters, 0 behind the last one. */
 size_t log_header_next(struct log_header *header, const struct log_about *about, const struct log_frames *frames,
 		       char text[LOG_LINE_BYTES]);
-
-#endif

@@ -2,12 +2,10 @@
  * interrupt copies it; the background makes frames of it.
  *
  * The order is that of the copying (firmware_log, runtime.c): neighbours here are neighbours there. */
-#ifndef NF_LOG_RECORD_H
-#define NF_LOG_RECORD_H
-
-#include <stdint.h>
+#pragma once
 
 #include "common/status.h"
+#include "control/chirp.h"
 #include "nf_contract.h"
 #include "policy.h"
 
@@ -24,16 +22,7 @@ struct log_record {
 	uint8_t state, stop_cause, fallback_cause, refused_cause;
 	uint8_t gyro_health, receiver_quality, attitude_known;
 	float attitude[4]; /* unit quaternion w, x, y, z, body to world */
-	/* As in struct chirp, in its order. */
-	uint8_t chirp_state; /* enum chirp_state */
-	uint8_t chirp_axis; /* that is excited, or the next one */
-	uint8_t chirp_controller;
-	uint32_t chirp_left; /* control steps of the sweep, this one included */
-	float chirp_frequency_hz; /* 0 unless it runs */
-	float chirp_phase; /* turns, 0 to 1 */
-	float chirp_sine;
-	float chirp_low; /* the sine behind a low-pass */
-	float chirp_added; /* rad/s, to the setpoint */
+	struct chirp_sweep chirp;
 	/* The edges, as taken by this step: struct firmware_edges. */
 	uint32_t forbidden; /* arming reasons of the background */
 	float voltage_gain; /* of the PID */
@@ -50,5 +39,3 @@ struct log_record {
 	uint16_t receiver_count; /* bytes handed to firmware_receive */
 	uint8_t receiver_bytes[NF_LOG_RECEIVER_BYTES];
 };
-
-#endif

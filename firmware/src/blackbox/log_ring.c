@@ -31,8 +31,3 @@ void log_ring_take(struct log_ring *ring)
 	fence();
 	++ring->taken;
 }
-
-uint32_t log_ring_dropped(const struct log_ring *ring)
-{
-	return ring->dropped;
-}

@@ -1,7 +1,6 @@
 /* A ring of control step records from the gyro's interrupt to the background: one writer, one reader, neither waits.
  * log_writer.h has the interrupt's part. */
-#ifndef NF_LOG_RING_H
-#define NF_LOG_RING_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -28,8 +27,3 @@ const struct log_record *log_ring_next(const struct log_ring *ring);
 
 /* From the background: done with that one. */
 void log_ring_take(struct log_ring *ring);
-
-/* From the background: control steps since boot that were not recorded. Wraps. */
-uint32_t log_ring_dropped(const struct log_ring *ring);
-
-#endif

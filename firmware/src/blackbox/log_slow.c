@@ -2,7 +2,6 @@
 
 #include "blackbox/log_encoding.h"
 #include "blackbox/log_frames.h"
-#include "blackbox/log_text.h"
 #include "storage/mode_range.h"
 
 /* Boxes of the ecosystem, by the bits that its logs have them at. */
@@ -47,19 +46,16 @@ static const struct slow_field {
 #define FIELDS (sizeof fields / sizeof fields[0])
 _Static_assert(1 + FIELDS * LOG_VARIABLE_MAX + 1 <= NF_LOG_FRAME_BYTES_MAX, "a whole slow frame");
 
-size_t log_slow_line(enum log_field_line line, char text[])
+void log_slow_line(struct printer *out, enum log_field_line line)
 {
-	char *at = text;
-
 	for (size_t i = 0; i < FIELDS; ++i) {
 		if (i > 0)
-			log_text(&at, ",");
+			printer_say(out, ",");
 		if (line == LOG_LINE_NAME)
-			log_text(&at, fields[i].name);
+			printer_say(out, "%s", fields[i].name);
 		else
-			log_text_whole(&at, line == LOG_LINE_ENCODING ? fields[i].encoding : 0u);
+			printer_say(out, "%u", line == LOG_LINE_ENCODING ? fields[i].encoding : 0u);
 	}
-	return (size_t)(at - text);
 }
 
 static uint32_t slow_box(bool on, unsigned box)

@@ -2,8 +2,7 @@
  *
  * It is taken anew from time to time while no log is written, so that a flight finds one that is some steps old whenever it
  * begins. From the background; the interrupt knows nothing of it. */
-#ifndef NF_LOG_SNAPSHOT_H
-#define NF_LOG_SNAPSHOT_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -33,5 +32,3 @@ struct log_snapshot {
 /* Takes it if there is none, or if it is old. Where that cannot be now, what there is stays: it is old, no more. Only a sample
  * that interrupts the copying leaves none. */
 void log_snapshot_renew(struct log_snapshot *snapshot);
-
-#endif

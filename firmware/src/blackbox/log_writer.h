@@ -1,6 +1,5 @@
 /* The writer's side of the ring, inside the interrupt that calls it. */
-#ifndef NF_LOG_WRITER_H
-#define NF_LOG_WRITER_H
+#pragma once
 
 #include "blackbox/log_ring.h"
 #include "common/fence.h"
@@ -20,5 +19,3 @@ static inline void log_ring_close(struct log_ring *ring)
 	}
 	ring->open->samples = 0;
 }
-
-#endif

@@ -1,8 +1,6 @@
 #include "command_line/command_line.h"
 
 #include "command_line/command.h"
-#include "command_line/commands.h"
-#include "command_line/reply.h"
 #include "common/limit.h"
 
 #define BACKSPACE 0x08
@@ -14,7 +12,7 @@
 #define PROMPT "# "
 _Static_assert(COMMAND_LINE_BYTES <= UINT8_MAX, "the length of a line");
 
-void command_line_init(struct command_line *cl, const struct command_line_services *services)
+void command_line_init(struct command_line *cl, const struct services *services)
 {
 	*cl = (struct command_line){ .services = services };
 }
@@ -34,34 +32,23 @@ bool command_line_at_start(const struct command_line *cl)
 	return !command_line_busy(cl) && cl->length == 0 && cl->fault == COMMAND_LINE_GOOD;
 }
 
-static uint32_t command_line_samples(const struct command_line *cl)
-{
-	return cl->services->samples(cl->services->context);
-}
-
 /* --- What is run instead of a command --------------------------------------------------------------------------- */
 /* The Betaflight app shows the text after the first line end, and considers the session open once it contains "CLI". */
 static bool line_greet(const struct task_line *t)
 {
-	printer_end(t->out);
-	command_say_version(t);
-	printer_text(t->out, " CLI: 'help' lists the commands, 'exit' restarts without saving");
-	printer_end(t->out);
+	printer_line(t->out, "\r\n" COMMAND_VERSION " CLI: 'help' lists the commands, 'exit' restarts without saving");
 	return false;
 }
 
 static bool line_nothing(const struct task_line *t)
 {
-	(void)t;
 	return false;
 }
 
 static bool line_unknown(const struct task_line *t)
 {
 	command_error(t);
-	printer_part(t->out, t->cl->line, 40);
-	printer_text(t->out, ": unknown command, expected one that 'help' lists");
-	command_end_foreign(t);
+	printer_line(t->out, "%.*s: unknown command, expected one that 'help' lists" COMMAND_FOREIGN, 40, t->cl->line);
 	return false;
 }
 
@@ -76,8 +63,7 @@ static bool line_spoilt(const struct task_line *t)
 	_Static_assert(COMMAND_LINE_BYTES == 96, "as the words say");
 
 	command_error(t);
-	printer_text(t->out, words[t->cl->fault]);
-	printer_end(t->out);
+	printer_line(t->out, "%s", words[t->cl->fault]);
 	t->cl->fault = COMMAND_LINE_GOOD;
 	return false;
 }
@@ -102,7 +88,7 @@ bool command_line_begin(struct command_line *cl, uint8_t byte)
 	if (cl->services->session(cl->services->context, true) != NF_REFUSAL_NONE)
 		return false;
 	command_line_clear(cl);
-	cl->heard = command_line_samples(cl);
+	cl->heard = command_samples(cl);
 	cl->after_cr = false;
 	cl->failed = false;
 	cl->mode = COMMAND_LINE_FRAMED;
@@ -132,7 +118,7 @@ static bool command_line_forgotten(const struct command_line *cl, const struct f
 {
 	const uint32_t seconds = cl->mode == COMMAND_LINE_TYPED ? TYPED_SILENCE_S : FRAMED_SILENCE_S;
 
-	return command_line_samples(cl) - cl->heard > seconds * status->gyro_rate_hz;
+	return command_samples(cl) - cl->heard > seconds * status->gyro_rate_hz;
 }
 
 /* --- Lines ------------------------------------------------------------------------------------------------------ */
@@ -152,11 +138,6 @@ static const struct command *command_line_meant(struct command_line *cl)
 	return command ? command : &unknown;
 }
 
-static void command_line_end_line(struct command_line *cl)
-{
-	command_line_run(cl, command_line_meant(cl));
-}
-
 static void command_line_add(struct command_line *cl, uint8_t byte)
 {
 	if (byte < ' ' || byte > '~') {
@@ -173,7 +154,7 @@ static void command_line_take_framed(struct command_line *cl, uint8_t byte)
 {
 	if (byte == '\n' || byte == '\r') {
 		if (!command_line_at_start(cl))
-			command_line_end_line(cl);
+			command_line_run(cl, command_line_meant(cl));
 	} else if (byte == COMMAND_LINE_FRAME_END) {
 		if (cl->length > 0 && cl->fault == COMMAND_LINE_GOOD)
 			cl->fault = COMMAND_LINE_UNENDED;
@@ -188,20 +169,20 @@ static void command_line_take_framed(struct command_line *cl, uint8_t byte)
 static void command_line_take_typed(struct command_line *cl, uint8_t byte, struct printer *out)
 {
 	if (byte == '\r' || byte == '\n') {
-		printer_text(out, "\r\n");
-		command_line_end_line(cl);
+		printer_end(out);
+		command_line_run(cl, command_line_meant(cl));
 	} else if (byte == DROP_LINE) {
 		command_line_clear(cl);
-		printer_text(out, "\r\n" PROMPT);
+		printer_say(out, "\r\n" PROMPT);
 	} else if ((byte == BACKSPACE || byte == DELETE) && cl->fault == COMMAND_LINE_GOOD) {
 		if (cl->length == 0)
 			return;
 		cl->line[--cl->length] = '\0';
-		printer_text(out, "\b \b");
+		printer_say(out, "\b \b");
 	} else if (byte != '\t') {
 		command_line_add(cl, byte);
 		if (byte >= ' ' && byte <= '~')
-			printer_char(out, (char)byte);
+			printer_say(out, "%c", byte);
 	}
 }
 
@@ -212,7 +193,7 @@ size_t command_line_take(struct command_line *cl, uint8_t byte, uint8_t *out, si
 	struct printer printer = printer_init((char *)out, capacity);
 	const bool belongs = cl->after_cr && byte == '\n';
 
-	cl->heard = command_line_samples(cl);
+	cl->heard = command_samples(cl);
 	cl->after_cr = byte == '\r';
 	if (belongs)
 		return 0;
@@ -232,7 +213,7 @@ static void command_line_done(struct command_line *cl, struct printer *out)
 	cl->length = 0; /* a fault since its end is the next line's */
 	cl->line[0] = '\0';
 	if (cl->mode == COMMAND_LINE_TYPED)
-		printer_text(out, PROMPT);
+		printer_say(out, PROMPT);
 }
 
 /* The running command's next words. */
@@ -258,12 +239,8 @@ static void command_line_watch_motor(struct command_line *cl, const struct firmw
 {
 	const char *const words = command_turn_motor(cl, status);
 
-	if (!words)
-		return;
-	printer_text(out, words);
-	printer_end(out);
-	printer_text(out, PROMPT);
-	printer_text(out, cl->line);
+	if (words)
+		printer_say(out, "%s\r\n" PROMPT "%s", words, cl->line);
 }
 
 size_t command_line_continue(struct command_line *cl, const struct firmware_status *status, uint8_t *out,

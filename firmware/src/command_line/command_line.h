@@ -4,8 +4,7 @@
  * A typed session is opened by COMMAND_LINE_OPENS and echoes; a framed one, COMMAND_LINE_FRAME text LF
  * COMMAND_LINE_FRAME_END, is answered by lines between the same two bytes, and ends then. While a session is open
  * nothing can arm. */
-#ifndef NF_COMMAND_LINE_H
-#define NF_COMMAND_LINE_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -20,7 +19,7 @@
 #define COMMAND_LINE_ROOM 248u /* bytes of output that each call must have room for, or it does nothing */
 
 /* `services` must outlive the command line. No session is open. */
-void command_line_init(struct command_line *cl, const struct command_line_services *services);
+void command_line_init(struct command_line *cl, const struct services *services);
 
 /* `byte` came outside of an MSP frame: opens a session if that byte does and nothing is armed. Returns whether one is
  * open. */
@@ -45,5 +44,3 @@ size_t command_line_take(struct command_line *cl, uint8_t byte, uint8_t *out, si
  * turning for its time, ends a session after a long silence. Returns the bytes written. */
 size_t command_line_continue(struct command_line *cl, const struct firmware_status *status, uint8_t *out,
 			     size_t capacity);
-
-#endif

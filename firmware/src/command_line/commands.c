@@ -1,10 +1,8 @@
-#include "command_line/commands.h"
-
-#include "command_line/reply.h"
+#include "command_line/command.h"
 
 static bool command_help(const struct task_line *t);
 
-const struct command command_table[] = {
+static const struct command commands[] = {
 	{ "help", "[COMMAND]", "lists the commands, or explains one", command_help },
 	{ "version", "", "firmware, board, policy", command_version },
 	{ "status", "", "state, what forbids arming, battery, policy, load", command_status },
@@ -24,16 +22,16 @@ const struct command command_table[] = {
 	{ "mixer", "[list]", "there is none to choose: the policy gives each motor its fraction", command_mixer },
 	{ "exit", "", "drops what is not saved, restarts", command_exit },
 };
-const size_t command_count = sizeof command_table / sizeof command_table[0];
+#define COMMAND_COUNT (sizeof commands / sizeof commands[0])
 
 const struct command *command_find(const char *line, const char **arguments)
 {
 	line = command_skip_spaces(line);
-	for (size_t i = 0; i < command_count; ++i) {
-		const size_t length = command_word(line, command_table[i].name);
+	for (size_t i = 0; i < COMMAND_COUNT; ++i) {
+		const size_t length = command_word(line, commands[i].name);
 		if (length > 0) {
 			*arguments = command_skip_spaces(line + length);
-			return &command_table[i];
+			return &commands[i];
 		}
 	}
 	return NULL;
@@ -42,13 +40,9 @@ const struct command *command_find(const char *line, const char **arguments)
 /* --- help ------------------------------------------------------------------------------------------------------- */
 static void command_explain(const struct task_line *t, const struct command *command)
 {
-	printer_text(t->out, command->name);
-	if (command->arguments[0] != '\0')
-		printer_char(t->out, ' ');
-	printer_text(t->out, command->arguments);
-	printer_text(t->out, " - ");
-	printer_text(t->out, command->help);
-	printer_end(t->out);
+	const char *const gap = command->arguments[0] != '\0' ? " " : "";
+
+	printer_line(t->out, "%s%s%s - %s", command->name, gap, command->arguments, command->help);
 }
 
 static bool command_help(const struct task_line *t)
@@ -56,16 +50,15 @@ static bool command_help(const struct task_line *t)
 	const char *rest;
 
 	if (t->arguments[0] == '\0') {
-		command_explain(t, &command_table[t->row]);
-		return t->row + 1 < command_count;
+		command_explain(t, &commands[t->row]);
+		return t->row + 1 < COMMAND_COUNT;
 	}
 	const struct command *const command = command_find(t->arguments, &rest);
 	if (command) {
 		command_explain(t, command);
 	} else {
 		command_got(t, "help", t->arguments);
-		printer_text(t->out, "a command that 'help' lists");
-		printer_end(t->out);
+		printer_line(t->out, "a command that 'help' lists");
 	}
 	return false;
 }

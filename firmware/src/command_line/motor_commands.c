@@ -1,17 +1,11 @@
 /* motor: turns one motor for some seconds, under the interlock of the motor test. */
 #include "command_line/command.h"
-#include "command_line/reply.h"
 #include "policy.h"
 
 #define SECONDS_MAX 5u
 #define LEAVE_S 60u /* after the last motor command, the leave to turn motors ends */
 #define VALUE_MAX_US ((uint32_t)(NF_CHANNEL_MIN_US + (NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US) * NF_MOTOR_TEST_MAX))
 #define FRESH_MS (NF_MOTOR_TEST_TIMEOUT_MS / 5u) /* how often a value is given again */
-
-static uint32_t motor_samples(const struct command_line *cl)
-{
-	return cl->services->samples(cl->services->context);
-}
 
 /* All others stand. */
 static enum nf_refusal motor_give(const struct command_line *cl)
@@ -26,7 +20,7 @@ static enum nf_refusal motor_give(const struct command_line *cl)
 const char *command_turn_motor(struct command_line *cl, const struct firmware_status *status)
 {
 	struct command_line_motor *motor = &cl->motor;
-	const uint32_t now = motor_samples(cl);
+	const uint32_t now = command_samples(cl);
 
 	if (!motor->turning) {
 		motor->allowed = motor->allowed && now - motor->allowed_since < LEAVE_S * status->gyro_rate_hz;
@@ -51,27 +45,21 @@ const char *command_turn_motor(struct command_line *cl, const struct firmware_st
 static void motor_fail(const struct task_line *t, const char *why)
 {
 	command_error(t);
-	printer_text(t->out, "motor: ");
-	printer_text(t->out, why);
-	printer_end(t->out);
+	printer_line(t->out, "motor: %s", why);
 }
 
 static bool motor_list(const struct task_line *t)
 {
-	printer_text(t->out, "motor ");
-	printer_number(t->out, t->row + 1);
-	printer_text(t->out, ": DShot ");
-	printer_number(t->out, t->status->trace.dshot[t->row]);
-	if (t->row == 0)
-		printer_text(t->out, t->cl->motor.allowed ? ", test on" : ", test off");
-	printer_end(t->out);
+	const char *const test = t->row > 0 ? "" : t->cl->motor.allowed ? ", test on" : ", test off";
+
+	printer_line(t->out, "motor %u: DShot %u%s", t->row + 1, t->status->trace.dshot[t->row], test);
 	return t->row + 1 < POLICY_ACTION_COUNT;
 }
 
 /* Asks for the test, as MSP's MOTOR_TEST does, and closes it again: it is opened for each motor that turns. */
 static void motor_test_on(const struct task_line *t)
 {
-	const struct command_line_services *s = t->services;
+	const struct services *s = t->services;
 
 	if (t->cl->mode != COMMAND_LINE_TYPED) {
 		motor_fail(t, "only a typed session turns motors, one that '#' opens");
@@ -83,16 +71,14 @@ static void motor_test_on(const struct task_line *t)
 	}
 	(void)s->motor_test(s->context, 0);
 	t->cl->motor.allowed = true;
-	t->cl->motor.allowed_since = motor_samples(t->cl);
-	printer_text(t->out, "PROPELLERS OFF? 'motor N VALUE SECONDS' turns motor N; any byte stops it");
-	printer_end(t->out);
+	t->cl->motor.allowed_since = command_samples(t->cl);
+	printer_line(t->out, "PROPELLERS OFF? 'motor N VALUE SECONDS' turns motor N; any byte stops it");
 }
 
 static void motor_test_off(const struct task_line *t)
 {
 	t->cl->motor.allowed = false;
-	printer_text(t->out, "motor test off");
-	printer_end(t->out);
+	printer_line(t->out, "motor test off");
 }
 
 static bool motor_parse(const char *text, uint32_t *number, uint32_t *value_us, uint32_t *seconds)
@@ -109,22 +95,16 @@ static bool motor_parse(const char *text, uint32_t *number, uint32_t *value_us, 
 static void motor_expected(const struct task_line *t)
 {
 	command_got(t, "motor", t->arguments);
-	printer_text(t->out, "'test on', 'test off' or N VALUE SECONDS: 1 to ");
-	printer_number(t->out, POLICY_ACTION_COUNT);
-	printer_text(t->out, ", 1000 to ");
-	printer_number(t->out, VALUE_MAX_US);
-	printer_text(t->out, " us, 1 to ");
-	printer_number(t->out, SECONDS_MAX);
-	printer_text(t->out, " s");
-	printer_end(t->out);
+	printer_line(t->out, "'test on', 'test off' or N VALUE SECONDS: 1 to %u, 1000 to %u us, 1 to %u s",
+		     (unsigned)POLICY_ACTION_COUNT, (unsigned)VALUE_MAX_US, SECONDS_MAX);
 }
 
 /* The test is opened anew: interrupt and background decide each time whether a motor may turn. */
 static void motor_turn(const struct task_line *t, uint32_t number, uint32_t value_us, uint32_t seconds)
 {
 	struct command_line *cl = t->cl;
-	const struct command_line_services *s = t->services;
-	const uint32_t now = motor_samples(cl);
+	const struct services *s = t->services;
+	const uint32_t now = command_samples(cl);
 
 	if (!cl->motor.allowed) {
 		motor_fail(t, "no motor test is open; take the propellers off, then 'motor test on'");

@@ -1,4 +1,4 @@
-#include "command_line/reply.h"
+#include "command_line/command.h"
 
 #define GOT_MAX 32 /* characters that are repeated of what was got */
 #define SHA256_SHOWN 4 /* bytes of the policy's hash that tell it apart */
@@ -42,28 +42,13 @@ const char *command_number(const char *text, uint32_t *value)
 void command_error(const struct task_line *t)
 {
 	t->cl->failed = true;
-	printer_text(t->out, COMMAND_ERROR);
+	printer_say(t->out, COMMAND_ERROR);
 }
 
 void command_got(const struct task_line *t, const char *name, const char *got)
 {
 	command_error(t);
-	printer_text(t->out, name);
-	printer_text(t->out, ": got '");
-	printer_part(t->out, got, GOT_MAX);
-	printer_text(t->out, "', expected ");
-}
-
-void command_end_foreign(const struct task_line *t)
-{
-	printer_text(t->out, "; a diff of Betaflight's: neuroflight board settings import");
-	printer_end(t->out);
-}
-
-void command_say_armed(const struct task_line *t)
-{
-	printer_text(t->out, "the motors are armed or under test: disarm, or wait until they rest");
-	printer_end(t->out);
+	printer_say(t->out, "%s: got '%.*s', expected ", name, GOT_MAX, got);
 }
 
 /* --- What several commands say ---------------------------------------------------------------------------------- */
@@ -72,16 +57,9 @@ void command_say_policy(const struct task_line *t)
 	struct nf_policy_blob_header header;
 
 	if (!policy_slots_header(t->services->slots, &header)) {
-		printer_text(t->out, "none");
+		printer_say(t->out, "none");
 		return;
 	}
-	printer_part(t->out, header.aircraft, sizeof header.aircraft);
-	printer_char(t->out, ' ');
-	for (unsigned i = 0; i < SHA256_SHOWN; ++i)
-		printer_hex(t->out, header.policy_sha256[i], 2);
-}
-
-void command_say_version(const struct task_line *t)
-{
-	printer_text(t->out, NF_MSP_FIRMWARE " " NF_VERSION_TEXT);
+	printer_say(t->out, "%.*s ", (int)sizeof header.aircraft, header.aircraft);
+	printer_bytes(t->out, header.policy_sha256, SHA256_SHOWN);
 }

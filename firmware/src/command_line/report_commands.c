@@ -1,6 +1,5 @@
 /* Commands that tell what the firmware is and does. */
 #include "command_line/command.h"
-#include "command_line/reply.h"
 #include "common/nf_math.h"
 #include "housekeeping/battery.h"
 #include "policy.h"
@@ -25,23 +24,16 @@ _Static_assert(BATTERY_LOW == sizeof levels / sizeof levels[0] - 1, "a word each
 static const char *const faults[] = { "none", "hard", "assert", "watchdog", "brown-out", "clock", "reset line" };
 _Static_assert(FAULT_RESET == sizeof faults / sizeof faults[0] - 1, "a word each");
 
-static void report_name(struct printer *out, const char *label, const char *const names[], size_t count, unsigned index)
+static const char *report_name(const char *const names[], size_t count, unsigned index)
 {
-	printer_text(out, label);
-	printer_text(out, index < count ? names[index] : "?");
+	return index < count ? names[index] : "?";
 }
-#define REPORT_NAME(out, label, names, index) report_name(out, label, names, sizeof(names) / sizeof(names)[0], index)
+#define NAME_OF(names, index) report_name(names, sizeof(names) / sizeof(names)[0], index)
 
 bool command_version(const struct task_line *t)
 {
-	command_say_version(t);
-	printer_text(t->out, " on ");
-	printer_text(t->out, t->services->identity->target);
-	printer_text(t->out, ", MSP API ");
-	printer_number(t->out, NF_MSP_API_MAJOR);
-	printer_char(t->out, '.');
-	printer_number(t->out, NF_MSP_API_MINOR);
-	printer_text(t->out, ", policy ");
+	printer_say(t->out, COMMAND_VERSION " on %s, MSP API %u.%u, policy ", t->services->identity->target,
+		    NF_MSP_API_MAJOR, NF_MSP_API_MINOR);
 	command_say_policy(t);
 	printer_end(t->out);
 	return false;
@@ -49,102 +41,80 @@ bool command_version(const struct task_line *t)
 
 bool command_mixer(const struct task_line *t)
 {
-	printer_text(t->out, "no mixer to choose: the policy gives each motor its fraction");
-	printer_end(t->out);
+	printer_line(t->out, "no mixer to choose: the policy gives each motor its fraction");
 	return false;
 }
 
 /* --- status ----------------------------------------------------------------------------------------------------- */
 static void status_state(const struct task_line *t)
 {
-	REPORT_NAME(t->out, "state: ", states, t->status->state);
-	REPORT_NAME(t->out, ", last stop ", stops, t->status->stop_cause);
-	printer_text(t->out, ", up ");
-	printer_number(t->out, t->services->samples(t->services->context) / t->status->gyro_rate_hz);
-	printer_text(t->out, " s");
+	const uint32_t up_s = command_samples(t->cl) / t->status->gyro_rate_hz;
+
+	printer_say(t->out, "state: %s, last stop %s, up %u s", NAME_OF(states, t->status->state),
+		    NAME_OF(stops, t->status->stop_cause), (unsigned)up_s);
 }
 
 static void status_reasons(const struct task_line *t)
 {
-	bool any = false;
-
-	printer_text(t->out, "arming forbidden by:");
-	for (size_t i = 0; i < sizeof reasons / sizeof reasons[0]; ++i) {
-		if ((t->status->arming_reasons >> reasons[i].bit & 1u) == 0)
-			continue;
-		printer_char(t->out, ' ');
-		printer_text(t->out, reasons[i].name);
-		any = true;
-	}
-	printer_text(t->out, any ? "" : " nothing");
+	printer_say(t->out, "arming forbidden by:");
+	for (size_t i = 0; i < sizeof reasons / sizeof reasons[0]; ++i)
+		if (t->status->arming_reasons >> reasons[i].bit & 1u)
+			printer_say(t->out, " %s", reasons[i].name);
+	if (t->status->arming_reasons == 0)
+		printer_say(t->out, " nothing");
 }
 
 static void status_battery(const struct task_line *t)
 {
 	const struct firmware_status *s = t->status;
 
-	REPORT_NAME(t->out, "battery: ", levels, s->battery_level);
-	printer_text(t->out, ", ");
+	printer_say(t->out, "battery: %s, ", NAME_OF(levels, s->battery_level));
 	printer_fixed(t->out, s->volts, 2);
-	printer_text(t->out, " V, ");
-	printer_number(t->out, s->cells);
-	printer_text(t->out, " cells, ");
+	printer_say(t->out, " V, %u cells, ", s->cells);
 	printer_fixed(t->out, s->amps, 2);
-	printer_text(t->out, " A, ");
+	printer_say(t->out, " A, ");
 	printer_fixed(t->out, s->drawn_mah, 0);
-	printer_text(t->out, " mAh drawn");
+	printer_say(t->out, " mAh drawn");
 }
 
 static void status_policy(const struct task_line *t)
 {
 	const struct firmware_status *s = t->status;
 
-	printer_text(t->out, "policy: ");
+	printer_say(t->out, "policy: ");
 	command_say_policy(t);
-	printer_text(t->out, s->policy_good ? ", good, " : ", bad, ");
-	printer_text(t->out, s->pid_flies ? "the PID flies" : "the policy flies");
-	REPORT_NAME(t->out, ", last fallback ", fallbacks, s->fallback_cause);
-	REPORT_NAME(t->out, ", refused for ", fallbacks, s->refused_cause);
+	printer_say(t->out, ", %s, the %s flies, last fallback %s, refused for %s", s->policy_good ? "good" : "bad",
+		    s->pid_flies ? "PID" : "policy", NAME_OF(fallbacks, s->fallback_cause),
+		    NAME_OF(fallbacks, s->refused_cause));
 }
 
 static void status_load(const struct task_line *t)
 {
-	printer_text(t->out, "load: ");
-	printer_number(t->out, t->status->load_percent);
-	printer_text(t->out, " % of a gyro period at most");
+	printer_say(t->out, "load: %u %% of a gyro period at most", t->status->load_percent);
 }
 
 static void status_motors(const struct task_line *t)
 {
-	printer_text(t->out, "motors: ");
-	printer_number(t->out, t->status->trace.motor_count);
-	printer_text(t->out, ", outputs that had stuck set up anew ");
-	printer_number(t->out, t->services->motor_restarts(t->services->context));
-	printer_text(t->out, " times");
+	printer_say(t->out, "motors: %u, outputs that had stuck set up anew %u times", t->status->trace.motor_count,
+		    (unsigned)t->services->motor_restarts(t->services->context));
 }
 
 static void status_gyro(const struct task_line *t)
 {
 	const struct firmware_status *s = t->status;
 
-	printer_text(t->out, "gyro: ");
-	if (s->gyro_identity != 0) {
-		printer_text(t->out, "chip 0x");
-		printer_hex(t->out, s->gyro_identity, 2);
-		printer_text(t->out, ", ");
-	}
-	printer_number(t->out, s->gyro_rate_hz);
-	REPORT_NAME(t->out, " Hz, ", healths, s->gyro_health);
-	printer_text(t->out, ", ");
+	printer_say(t->out, "gyro: ");
+	if (s->gyro_identity != 0)
+		printer_say(t->out, "chip 0x%02x, ", s->gyro_identity);
+	printer_say(t->out, "%u Hz, %s, ", s->gyro_rate_hz, NAME_OF(healths, s->gyro_health));
 	printer_fixed(t->out, s->temperature_deg_c, 1);
-	printer_text(t->out, " deg C");
+	printer_say(t->out, " deg C");
 }
 
 static void status_receiver(const struct task_line *t)
 {
-	printer_text(t->out, t->status->receiver_good ? "receiver: good, quality " : "receiver: lost, quality ");
-	printer_number(t->out, t->status->receiver_quality);
-	printer_text(t->out, " %");
+	printer_say(t->out, "receiver: %s, quality %u %%", t->status->receiver_good ? "good" : "lost",
+		    t->status->receiver_quality);
 }
 
 static void status_log(const struct task_line *t)
@@ -152,13 +122,9 @@ static void status_log(const struct task_line *t)
 	struct blackbox_status log;
 
 	blackbox_status(t->services->blackbox, &log);
-	REPORT_NAME(t->out, "log: ", log_devices, log.chosen);
-	REPORT_NAME(t->out, ", ", log_states, log.device.state);
-	REPORT_NAME(t->out, ", error ", log_errors, log.device.error);
-	printer_text(t->out, ", logs ");
-	printer_number(t->out, log.device.logs);
-	printer_text(t->out, ", dropped steps ");
-	printer_number(t->out, log.dropped);
+	printer_say(t->out, "log: %s, %s, error %s, logs %u, dropped steps %u", NAME_OF(log_devices, log.chosen),
+		    NAME_OF(log_states, log.device.state), NAME_OF(log_errors, log.device.error), log.device.logs,
+		    (unsigned)log.dropped);
 }
 
 bool command_status(const struct task_line *t)
@@ -174,31 +140,26 @@ bool command_status(const struct task_line *t)
 }
 
 /* --- tasks ------------------------------------------------------------------------------------------------------ */
-static uint32_t report_us(const struct task_line *t, uint32_t cycles)
+static unsigned report_us(const struct task_line *t, uint32_t cycles)
 {
-	return cycles / (t->services->cycles_hz / 1000000u);
+	return (unsigned)(cycles / (t->services->cycles_hz / 1000000u));
 }
 
 bool command_tasks(const struct task_line *t)
 {
 	if (t->row == 0) {
-		printer_text(t->out, "task        rate Hz       runs    misses  worst us   best us   mean us");
-		printer_end(t->out);
+		printer_line(t->out, "task        rate Hz       runs    misses  worst us   best us   mean us");
 		return true;
 	}
 	const unsigned index = t->row - 1;
 	const struct task_stats *task = &t->services->tasks[index];
 	const char *const begin = t->out->at;
-	printer_text(t->out, tasks[index]);
+	printer_say(t->out, "%s", tasks[index]);
 	while (t->out->at < begin + 10)
-		printer_char(t->out, ' ');
-	printer_column(t->out, task->rate_hz, 9);
-	printer_column(t->out, task->runs, 11);
-	printer_column(t->out, task->misses, 10);
-	printer_column(t->out, report_us(t, task->worst), 10);
-	printer_column(t->out, report_us(t, task->best), 10);
-	printer_column(t->out, report_us(t, task_stats_mean(task)), 10);
-	printer_end(t->out);
+		printer_say(t->out, " ");
+	printer_line(t->out, "%9u%11u%10u%10u%10u%10u", (unsigned)task->rate_hz, (unsigned)task->runs,
+		     (unsigned)task->misses, report_us(t, task->worst), report_us(t, task->best),
+		     report_us(t, task_stats_mean(task)));
 	return t->row < TASK_COUNT;
 }
 
@@ -208,50 +169,37 @@ static void faults_show(const struct task_line *t)
 	const struct fault_log *log = t->services->faults;
 	const struct fault_record *record = &log->record;
 
-	printer_text(t->out, "boots: ");
-	printer_number(t->out, log->boots);
+	printer_say(t->out, "boots: %u, ", (unsigned)log->boots);
 	if (!log->pending) {
-		printer_text(t->out, ", no fault is pending");
-		printer_end(t->out);
+		printer_line(t->out, "no fault is pending");
 		return;
 	}
-	REPORT_NAME(t->out, ", pending: ", faults, record->kind);
-	printer_text(t->out, " found by boot ");
-	printer_number(t->out, log->boot);
-	printer_text(t->out, ", ");
-	printer_number(t->out, record->uptime_steps);
-	printer_text(t->out, " control steps after its start, pc ");
-	printer_hex(t->out, record->pc, 8);
-	printer_text(t->out, " cfsr ");
-	printer_hex(t->out, record->cfsr, 8);
-	printer_char(t->out, ' ');
-	printer_part(t->out, record->file, sizeof record->file);
-	printer_char(t->out, ':');
-	printer_number(t->out, record->line);
-	printer_text(t->out, "; 'faults ack' allows arming again");
-	printer_end(t->out);
+	printer_line(t->out,
+		     "pending: %s found by boot %u, %u control steps after its start, pc %08x cfsr %08x %.*s:%u; "
+		     "'faults ack' allows arming again",
+		     NAME_OF(faults, record->kind), (unsigned)log->boot, (unsigned)record->uptime_steps,
+		     (unsigned)record->pc, (unsigned)record->cfsr, (int)sizeof record->file, record->file,
+		     (unsigned)record->line);
 }
 
 static void faults_acknowledge(const struct task_line *t)
 {
-	const struct command_line_services *s = t->services;
+	const struct services *s = t->services;
 	enum nf_refusal refusal = s->storing(s->context, true);
 
 	if (refusal != NF_REFUSAL_NONE) {
 		command_error(t);
-		printer_text(t->out, "faults ack: ");
-		command_say_armed(t);
+		printer_line(t->out, "faults ack: " COMMAND_ARMED);
 		return;
 	}
 	refusal = s->acknowledge(s->context);
 	(void)s->storing(s->context, false);
 	if (refusal != NF_REFUSAL_NONE) {
 		command_error(t);
-		printer_text(t->out, "faults ack: flash did not take it, the fault stays pending; try again");
+		printer_line(t->out, "faults ack: flash did not take it, the fault stays pending; try again");
 	} else {
-		printer_text(t->out, "acknowledged: faults, and a policy that was refused in flight");
+		printer_line(t->out, "acknowledged: faults, and a policy that was refused in flight");
 	}
-	printer_end(t->out);
 }
 
 bool command_faults(const struct task_line *t)
@@ -262,8 +210,7 @@ bool command_faults(const struct task_line *t)
 		faults_acknowledge(t);
 	} else {
 		command_got(t, "faults", t->arguments);
-		printer_text(t->out, "nothing or 'ack'");
-		printer_end(t->out);
+		printer_line(t->out, "nothing or 'ack'");
 	}
 	return false;
 }

@@ -1,5 +1,10 @@
 #include "command_line/session.h"
 
+uint32_t command_samples(const struct command_line *cl)
+{
+	return cl->services->samples(cl->services->context);
+}
+
 void command_stop_motor(struct command_line *cl)
 {
 	cl->motor.turning = 0;

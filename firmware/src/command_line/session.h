@@ -1,19 +1,10 @@
-/* State of a command line session, and the services that its commands use. */
-#ifndef NF_SESSION_H
-#define NF_SESSION_H
+/* State of a command line session. */
+#pragma once
 
 #include <stdbool.h>
-#include <stddef.h>
 #include <stdint.h>
 
-#include "blackbox/blackbox.h"
-#include "common/status.h"
-#include "housekeeping/scheduler.h"
-#include "nf_contract.h"
-#include "port/board_identity.h"
-#include "port/flash.h"
-#include "storage/fault_log.h"
-#include "storage/policy_slots.h"
+#include "command_line/services.h"
 
 #define COMMAND_LINE_BYTES 96u /* of a line, its end not counted */
 
@@ -29,31 +20,6 @@ enum command_line_fault {
 
 struct command;
 
-/* Services for the commands; all of them belong to the background. */
-struct command_line_services {
-	const struct board_identity *identity;
-	const struct flash *flash;
-	struct nf_settings *settings;  /* as changed and perhaps not saved; not those that are flown */
-	const struct policy_slots *slots;
-	struct fault_log *faults;
-	const struct blackbox *blackbox;
-	const struct task_stats *tasks; /* [TASK_COUNT] */
-	uint32_t cycles_hz;            /* of the cycles they tell */
-	void *context;                 /* of the functions below */
-
-	uint32_t (*samples)(void *context); /* gyro samples since boot; wraps */
-	uint32_t (*motor_restarts)(void *context); /* as in struct hal */
-	/* A session opens or ends. While one is open NF_ARMING_REASON_CLI forbids arming. NF_REFUSAL_ARMED: it must not
-	 * open, and nothing has changed. */
-	enum nf_refusal (*session)(void *context, bool open);
-	/* These as in struct msp_services. */
-	enum nf_refusal (*storing)(void *context, bool busy);
-	enum nf_refusal (*motor_test)(void *context, uint32_t magic);
-	enum nf_refusal (*motors)(void *context, const uint16_t values_us[], size_t count);
-	enum nf_refusal (*acknowledge)(void *context);
-	enum nf_refusal (*reboot)(void *context, enum nf_reboot kind);
-};
-
 /* The motor that a command runs. */
 struct command_line_motor {
 	bool allowed; /* `motor test on` was said */
@@ -65,7 +31,7 @@ struct command_line_motor {
 };
 
 struct command_line {
-	const struct command_line_services *services;
+	const struct services *services;
 	uint8_t mode; /* enum command_line_mode */
 	uint8_t fault; /* of the line: enum command_line_fault */
 	uint8_t length; /* characters of `line` */
@@ -80,6 +46,9 @@ struct command_line {
 	char line[COMMAND_LINE_BYTES + 1];
 };
 
+/* Gyro samples since boot; wraps. */
+uint32_t command_samples(const struct command_line *cl);
+
 /* Stops the motor that a command turns and closes its motor test. */
 void command_stop_motor(struct command_line *cl);
 
@@ -91,5 +60,3 @@ void command_line_clear(struct command_line *cl);
 
 /* Ends the session because the peer speaks MSP or has gone: its motor stops, half a line is forgotten. */
 void command_line_leave(struct command_line *cl);
-
-#endif

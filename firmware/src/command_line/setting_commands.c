@@ -1,6 +1,5 @@
 /* get and set. */
 #include "command_line/command.h"
-#include "command_line/reply.h"
 #include "policy.h"
 #include "storage/settings.h"
 #include "storage/settings_text.h"
@@ -10,23 +9,18 @@
 /* --- What can be read, but not set ------------------------------------------------------------------------------ */
 static void item_version(const struct task_line *t)
 {
-	command_say_version(t);
+	printer_say(t->out, COMMAND_VERSION);
 }
 
 static void item_board(const struct task_line *t)
 {
-	printer_text(t->out, t->services->identity->target);
+	printer_say(t->out, "%s", t->services->identity->target);
 }
 
 static void item_uid(const struct task_line *t)
 {
 	for (unsigned i = 0; i < 3; ++i)
-		printer_hex(t->out, t->services->identity->unique_id[i], 8);
-}
-
-static void item_policy(const struct task_line *t)
-{
-	command_say_policy(t);
+		printer_say(t->out, "%08x", (unsigned)t->services->identity->unique_id[i]);
 }
 
 static void item_idle(const struct task_line *t)
@@ -36,12 +30,12 @@ static void item_idle(const struct task_line *t)
 
 static void item_mix(const struct task_line *t)
 {
-	printer_text(t->out, t->services->slots->mix == NF_MIX_CENTRED ? "centred" : "attitude-first");
+	printer_say(t->out, t->services->slots->mix == NF_MIX_CENTRED ? "centred" : "attitude-first");
 }
 
 static void item_control_rate(const struct task_line *t)
 {
-	printer_number(t->out, POLICY_CONTROL_RATE_HZ);
+	printer_say(t->out, "%u", (unsigned)POLICY_CONTROL_RATE_HZ);
 }
 
 static const struct item {
@@ -51,7 +45,7 @@ static const struct item {
 	{ "version", item_version },
 	{ "board", item_board },
 	{ "uid", item_uid },
-	{ "policy", item_policy },
+	{ "policy", command_say_policy },
 	{ "policy_idle", item_idle },
 	{ "policy_mix", item_mix },
 	{ "control_rate_hz", item_control_rate },
@@ -67,21 +61,12 @@ static const struct item *item_find(const char *name)
 }
 
 /* --- Words about a setting -------------------------------------------------------------------------------------- */
-static void setting_say_value(const struct task_line *t, const struct setting *setting,
-			      const union setting_value *value)
-{
-	char text[SETTINGS_TEXT_BYTES];
-
-	settings_text_format(setting, value, text);
-	printer_text(t->out, text);
-}
-
 /* A limit or default of a number. */
 static void setting_say_number(const struct task_line *t, const struct setting *setting, union setting_number number)
 {
 	const union setting_value value = { .as_uint32_t = number.as_uint32_t };
 
-	setting_say_value(t, setting, &value);
+	settings_text_print(t->out, setting, &value);
 }
 
 /* Is its unit 1? Nobody says that. */
@@ -94,22 +79,17 @@ static bool setting_is_ratio(const struct setting *setting)
 static void setting_say_span(const struct task_line *t, const struct setting *setting)
 {
 	if (setting->kind == SETTING_text) {
-		printer_text(t->out, "at most ");
-		printer_number(t->out, NF_SETTING_TEXT_BYTES);
-		printer_text(t->out, " characters, - for none");
+		printer_say(t->out, "at most %u characters, - for none", NF_SETTING_TEXT_BYTES);
 	} else if (setting->kind == SETTING_mode) {
-		printer_text(t->out, "MODE AUX LOW HIGH such as arm aux1 1700 2100, perhaps 'and' behind it; none");
+		printer_say(t->out, "MODE AUX LOW HIGH such as arm aux1 1700 2100, perhaps 'and' behind it; none");
 	} else if (settings_choices(setting)[0] != '\0') {
-		printer_text(t->out, "one of ");
-		printer_text(t->out, settings_choices(setting));
+		printer_say(t->out, "one of %s", settings_choices(setting));
 	} else {
 		setting_say_number(t, setting, settings_limits(setting)->low);
-		printer_text(t->out, " to ");
+		printer_say(t->out, " to ");
 		setting_say_number(t, setting, settings_limits(setting)->high);
-		if (!setting_is_ratio(setting)) {
-			printer_char(t->out, ' ');
-			printer_text(t->out, settings_unit(setting));
-		}
+		if (!setting_is_ratio(setting))
+			printer_say(t->out, " %s", settings_unit(setting));
 	}
 }
 
@@ -119,28 +99,23 @@ static void setting_say_expected(const struct task_line *t, const struct setting
 {
 	switch (error) {
 	case SETTINGS_TEXT_NOT_WHOLE:
-		printer_text(t->out, "a whole number from ");
+		printer_say(t->out, "a whole number from ");
 		break;
 	case SETTINGS_TEXT_NO_NUMBER:
-		printer_text(t->out, "a number from ");
+		printer_say(t->out, "a number from ");
 		break;
 	case SETTINGS_TEXT_MODE_NAME:
-		printer_text(t->out, "a mode: arm, beeper, pid or trial");
+		printer_say(t->out, "a mode: arm, beeper, pid or trial");
 		return;
 	case SETTINGS_TEXT_MODE_AUX:
-		printer_text(t->out, "aux1 to aux");
-		printer_number(t->out, NF_AUX_COUNT);
+		printer_say(t->out, "aux1 to aux%u", NF_AUX_COUNT);
 		return;
 	case SETTINGS_TEXT_MODE_GRID:
-		printer_text(t->out, "ends from ");
-		printer_number(t->out, NF_MODE_LOW_US);
-		printer_text(t->out, " to ");
-		printer_number(t->out, NF_MODE_LOW_US + NF_MODE_STEPS * NF_MODE_STEP_US);
-		printer_text(t->out, " us, multiples of ");
-		printer_number(t->out, NF_MODE_STEP_US);
+		printer_say(t->out, "ends from %u to %u us, multiples of %u", NF_MODE_LOW_US,
+			    NF_MODE_LOW_US + NF_MODE_STEPS * NF_MODE_STEP_US, NF_MODE_STEP_US);
 		return;
 	case SETTINGS_TEXT_MODE_ORDER:
-		printer_text(t->out, "the lower end first");
+		printer_say(t->out, "the lower end first");
 		return;
 	case SETTINGS_TEXT_GOOD:
 	case SETTINGS_TEXT_TOO_LARGE:
@@ -168,11 +143,9 @@ static bool get_has(const char *name, const char *part)
 
 static void get_item(const struct task_line *t, const struct item *item)
 {
-	printer_text(t->out, item->name);
-	printer_text(t->out, " = ");
+	printer_say(t->out, "%s = ", item->name);
 	item->say(t);
-	printer_text(t->out, " (read-only)");
-	printer_end(t->out);
+	printer_line(t->out, " (read-only)");
 }
 
 static void get_setting(const struct task_line *t, unsigned index)
@@ -181,17 +154,15 @@ static void get_setting(const struct task_line *t, unsigned index)
 	union setting_value value;
 
 	settings_get(t->services->settings, index, &value);
-	printer_text(t->out, setting->name);
-	printer_text(t->out, " = ");
-	setting_say_value(t, setting, &value);
-	printer_text(t->out, " (");
+	printer_say(t->out, "%s = ", setting->name);
+	settings_text_print(t->out, setting, &value);
+	printer_say(t->out, " (");
 	setting_say_span(t, setting);
 	if (setting->kind != SETTING_text) {
-		printer_text(t->out, "; default ");
+		printer_say(t->out, "; default ");
 		setting_say_number(t, setting, settings_limits(setting)->preset);
 	}
-	printer_char(t->out, ')');
-	printer_end(t->out);
+	printer_line(t->out, ")");
 }
 
 bool command_get(const struct task_line *t)
@@ -210,8 +181,7 @@ bool command_get(const struct task_line *t)
 	}
 	if (!t->cl->found) {
 		command_got(t, "get", t->arguments);
-		printer_text(t->out, "a part of a name; 'get' alone lists all");
-		printer_end(t->out);
+		printer_line(t->out, "a part of a name; 'get' alone lists all");
 	}
 	return false;
 }
@@ -239,9 +209,9 @@ static const char *set_split(const char *text, char name[NAME_BYTES])
 static void set_refuse_name(const struct task_line *t, const char *name)
 {
 	command_got(t, "set", name);
-	printer_text(t->out, item_find(name) ? "a setting; that can only be read" :
-					       "a setting's name; 'get' lists them, 'get PART' finds them");
-	command_end_foreign(t);
+	printer_line(t->out, "%s" COMMAND_FOREIGN,
+		     item_find(name) ? "a setting; that can only be read" :
+				       "a setting's name; 'get' lists them, 'get PART' finds them");
 }
 
 /* Is `text` a bare 1 of a setting from 0 to 1? Betaflight has percents under the same names, where 1 means 0.01. */
@@ -262,8 +232,7 @@ static void set_value(const struct task_line *t, unsigned index, const char *tex
 
 	if (set_is_percent(index, text)) {
 		command_got(t, setting->name, text);
-		printer_text(t->out, "1.0, or 0.01 for a percent");
-		command_end_foreign(t);
+		printer_line(t->out, "1.0, or 0.01 for a percent" COMMAND_FOREIGN);
 		return;
 	}
 	if (error == SETTINGS_TEXT_GOOD && settings_set(t->services->settings, index, &value) == NF_REFUSAL_NONE)
@@ -283,16 +252,12 @@ bool command_set(const struct task_line *t)
 	const unsigned index = settings_find(name);
 	if (t->status->trace.armed) {
 		command_error(t);
-		printer_text(t->out, "set: ");
-		command_say_armed(t);
+		printer_line(t->out, "set: " COMMAND_ARMED);
 	} else if (index == NF_SETTING_COUNT) {
 		set_refuse_name(t, name);
 	} else if (!value) {
 		command_got(t, "set", t->arguments);
-		printer_text(t->out, "NAME = VALUE; 'get ");
-		printer_text(t->out, name);
-		printer_text(t->out, "' tells the value");
-		printer_end(t->out);
+		printer_line(t->out, "NAME = VALUE; 'get %s' tells the value", name);
 	} else {
 		set_value(t, index, value);
 	}

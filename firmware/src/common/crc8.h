@@ -1,11 +1,8 @@
 /* CRC-8/DVB-S2: the checksum of CRSF and of MSP v2. */
-#ifndef NF_CRC8_H
-#define NF_CRC8_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
 
 /* Goes on from `crc`, 0 at the beginning. Over bytes that end with their own checksum it is 0. */
 uint8_t crc8(uint8_t crc, const uint8_t *bytes, size_t count);
-
-#endif

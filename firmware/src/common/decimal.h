@@ -1,7 +1,6 @@
 /* Float32 as decimal text and back, exactly, with integers of 64 bits alone: no libm, the same bits on every target. Not for
  * the control step. */
-#ifndef NF_DECIMAL_H
-#define NF_DECIMAL_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -17,5 +16,3 @@ size_t decimal_format(float value, char text[DECIMAL_BYTES]);
 /* Reads a decimal number such as 12, -0.5 or .25, rounded to the nearest float, ties to even. Places behind DECIMAL_PLACES
  * do not count. Returns false, *value unchanged, for a number of 2^24 or more, and for what is none. */
 bool decimal_parse(const char *text, float *value);
-
-#endif

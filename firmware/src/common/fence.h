@@ -1,11 +1,8 @@
 /* Order between the background and the gyro interrupt, which run on the same core. */
-#ifndef NF_FENCE_H
-#define NF_FENCE_H
+#pragma once
 
 /* Keeps the compiler from moving memory accesses across. */
 static inline __attribute__((always_inline)) void fence(void)
 {
 	__atomic_signal_fence(__ATOMIC_SEQ_CST);
 }
-
-#endif

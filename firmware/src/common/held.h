@@ -1,7 +1,6 @@
 /* Pointers inside struct firmware, whose layout must be the same on every target, because a log begins with its bytes
  * and a replay on a computer continues from them (hal/host/replay.h). */
-#ifndef NF_HELD_H
-#define NF_HELD_H
+#pragma once
 
 #include <stdint.h>
 
@@ -11,5 +10,3 @@
 		type name;            \
 		uint64_t name##_room; \
 	}
-
-#endif

@@ -1,6 +1,11 @@
 /* Clamping by comparison: the same bits on every target, and no NaN comes through. */
-#ifndef NF_LIMIT_H
-#define NF_LIMIT_H
+#pragma once
+
+/* `value` without its sign. */
+static inline float magnitude(float value)
+{
+	return value < 0.0f ? -value : value;
+}
 
 /* `value` within [low, high]; `low` for NaN. */
 static inline float limit(float value, float low, float high)
@@ -9,5 +14,3 @@ static inline float limit(float value, float low, float high)
 
 	return raised < high ? raised : high;
 }
-
-#endif

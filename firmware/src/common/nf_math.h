@@ -1,7 +1,6 @@
 /* Functions of float32 without libm: the same bits on every target. Not for the inner loops of the control step: for
  * coefficients at start-up and for angles that are reported. No argument may be NaN unless said otherwise. */
-#ifndef NF_MATH_H
-#define NF_MATH_H
+#pragma once
 
 #define NF_PI 3.14159265358979323846f
 #define NF_TAU 6.28318530717958647693f
@@ -25,5 +24,3 @@ float nf_atan2(float y, float x);
 
 /* Angle whose sine is x [rad], -pi/2 to pi/2; x beyond -1 or 1 counts as that. Error at most 5e-7 rad. */
 float nf_asin(float x);
-
-#endif

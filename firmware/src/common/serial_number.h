@@ -1,6 +1,5 @@
 /* Sequence numbers that wrap: of two, the newer one is less than half of all numbers ahead (RFC 1982, section 3). */
-#ifndef NF_SERIAL_NUMBER_H
-#define NF_SERIAL_NUMBER_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -14,5 +13,3 @@ static inline bool serial_number_newer(uint32_t a, uint32_t b)
 
 	return ahead != 0 && ahead < SERIAL_NUMBER_HALF;
 }
-
-#endif

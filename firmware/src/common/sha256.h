@@ -1,6 +1,5 @@
 /* SHA-256 (FIPS 180-4): of images as they lie in flash. Compact rather than quick. */
-#ifndef NF_SHA256_H
-#define NF_SHA256_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -9,5 +8,3 @@
 
 /* Writes the digest of `count` bytes. 0.4 KB of stack; about 100 cycles a byte, 50 ms for an image: for the background. */
 void sha256(const void *bytes, size_t count, uint8_t digest[SHA256_BYTES]);
-
-#endif

@@ -1,9 +1,5 @@
 /* The firmware's state for others: the trace of a control step and the status that MSP reports. */
-#ifndef NF_STATUS_H
-#define NF_STATUS_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -63,5 +59,3 @@ struct firmware_status {
 	uint8_t gyro_identity; /* WHO_AM_I of the gyro chip, known or not; 0: nothing was read */
 	uint8_t brown_out; /* the detector's level + 1, 1: it is off; 0: not told */
 };
-
-#endif

@@ -1,7 +1,6 @@
 /* Copying whole words in as few instructions as the compiler can: for the gyro's interrupt, where a call of memcpy would take
  * five a word. */
-#ifndef NF_WORDS_H
-#define NF_WORDS_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -49,5 +48,3 @@ static inline __attribute__((always_inline)) void words_copy(void *to, const voi
 		*(struct words_1 *)out = *(const struct words_1 *)in;
 #undef WORDS_PART
 }
-
-#endif

@@ -37,50 +37,51 @@ void chirp_init(struct chirp *chirp, const struct nf_settings *settings, unsigne
 
 static void chirp_begin(struct chirp *chirp, uint8_t controller)
 {
-	chirp->state = CHIRP_RUNNING;
-	chirp->controller = controller;
-	chirp->left = chirp->length;
-	chirp->frequency_hz = chirp->start_hz;
-	chirp->phase = 0.0f;
-	chirp->low = 0.0f;
+	chirp->sweep.state = CHIRP_RUNNING;
+	chirp->sweep.controller = controller;
+	chirp->sweep.left = chirp->length;
+	chirp->sweep.frequency_hz = chirp->start_hz;
+	chirp->sweep.phase = 0.0f;
+	chirp->sweep.low = 0.0f;
 }
 
 /* The next sweep excites the next axis, however this one ended. */
 static void chirp_end(struct chirp *chirp)
 {
-	chirp->state = CHIRP_SPENT;
-	chirp->room[chirp->axis] = 0.0f;
-	chirp->axis = (uint8_t)((chirp->axis + 1u) % AXES);
-	chirp->frequency_hz = 0.0f;
-	chirp->phase = 0.0f;
-	chirp->sine = 0.0f;
-	chirp->added = 0.0f;
+	chirp->sweep.state = CHIRP_SPENT;
+	chirp->room[chirp->sweep.axis] = 0.0f;
+	chirp->sweep.axis = (uint8_t)((chirp->sweep.axis + 1u) % AXES);
+	chirp->sweep.frequency_hz = 0.0f;
+	chirp->sweep.phase = 0.0f;
+	chirp->sweep.sine = 0.0f;
+	chirp->sweep.added = 0.0f;
 }
 
 /* On to the next control step of the sweep. */
 static void chirp_advance(struct chirp *chirp)
 {
-	--chirp->left;
-	chirp->phase += chirp->frequency_hz * chirp->period_s;
-	if (chirp->phase >= 1.0f)
-		chirp->phase -= 1.0f;
-	chirp->frequency_hz += chirp->frequency_hz * chirp->growth;
+	--chirp->sweep.left;
+	chirp->sweep.phase += chirp->sweep.frequency_hz * chirp->period_s;
+	if (chirp->sweep.phase >= 1.0f)
+		chirp->sweep.phase -= 1.0f;
+	chirp->sweep.frequency_hz += chirp->sweep.frequency_hz * chirp->growth;
 }
 
 /* The sine through (1 + s / lead) / (1 + s / lag): a part of it as it is, the rest behind a low-pass. */
 static void chirp_excite(struct chirp *chirp)
 {
-	const float phase = chirp->phase;
+	const float phase = chirp->sweep.phase;
 
-	chirp->sine = phase < 0.5f ? nf_sin_turns(phase) : -nf_sin_turns(phase - 0.5f);
-	chirp->low += chirp->smoothing * (chirp->sine - chirp->low);
-	chirp->added = chirp->amplitude * (HIGH_SHARE * chirp->sine + (1.0f - HIGH_SHARE) * chirp->low);
+	chirp->sweep.sine = phase < 0.5f ? nf_sin_turns(phase) : -nf_sin_turns(phase - 0.5f);
+	chirp->sweep.low += chirp->smoothing * (chirp->sweep.sine - chirp->sweep.low);
+	chirp->sweep.added = chirp->amplitude *
+			     (HIGH_SHARE * chirp->sweep.sine + (1.0f - HIGH_SHARE) * chirp->sweep.low);
 }
 
 /* Follows the largest error that the excitation explains. */
 static void chirp_make_room(struct chirp *chirp, float *room)
 {
-	const float size = NF_CHIRP_ERROR_FACTOR * (chirp->added < 0.0f ? -chirp->added : chirp->added);
+	const float size = NF_CHIRP_ERROR_FACTOR * magnitude(chirp->sweep.added);
 
 	*room -= *room * chirp->fading;
 	if (size > *room)
@@ -91,25 +92,25 @@ void chirp_step(struct chirp *chirp, const struct chirp_input *input, float setp
 {
 	const bool may = input->on && input->allowed;
 
-	if (chirp->state == CHIRP_RUNNING) {
+	if (chirp->sweep.state == CHIRP_RUNNING) {
 		chirp_advance(chirp);
-		if (!may || input->controller != chirp->controller || chirp->left == 0)
+		if (!may || input->controller != chirp->sweep.controller || chirp->sweep.left == 0)
 			chirp_end(chirp);
-	} else if (chirp->state == CHIRP_IDLE && may) {
+	} else if (chirp->sweep.state == CHIRP_IDLE && may) {
 		chirp_begin(chirp, input->controller);
 	} else {
-		chirp->state = CHIRP_SPENT; /* the mode came on where it may not begin */
+		chirp->sweep.state = CHIRP_SPENT; /* the mode came on where it may not begin */
 	}
 	if (!input->on)
-		chirp->state = CHIRP_IDLE;
-	if (chirp->state != CHIRP_RUNNING)
+		chirp->sweep.state = CHIRP_IDLE;
+	if (chirp->sweep.state != CHIRP_RUNNING)
 		return;
 	chirp_excite(chirp);
-	chirp_make_room(chirp, &chirp->room[chirp->axis]);
-	setpoint[chirp->axis] = limit(setpoint[chirp->axis] + chirp->added, -RATE_MAX, RATE_MAX);
+	chirp_make_room(chirp, &chirp->room[chirp->sweep.axis]);
+	setpoint[chirp->sweep.axis] = limit(setpoint[chirp->sweep.axis] + chirp->sweep.added, -RATE_MAX, RATE_MAX);
 }
 
 int chirp_axis(const struct chirp *chirp)
 {
-	return chirp->state == CHIRP_RUNNING ? (int)chirp->axis : -1;
+	return chirp->sweep.state == CHIRP_RUNNING ? (int)chirp->sweep.axis : -1;
 }

@@ -1,9 +1,5 @@
 /* Control: chooses between policy and PID and blends the outputs when it changes. */
-#ifndef NF_CONTROL_H
-#define NF_CONTROL_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "common/held.h"
 #include "control/estimator.h"
@@ -103,5 +99,3 @@ bool control_demand(const struct control *control, float demand[3]);
 
 /* Largest minus smallest motor of the controller's last output, 0..1. */
 float control_spread(const struct control *control);
-
-#endif

@@ -2,11 +2,7 @@
  *
  * The rotors' equation runs on the outputs that were commanded, whichever controller flew; the rate is predicted from the
  * rotors and corrected by the gyro. The same law as sim/control/estimator.py. */
-#ifndef NF_ESTIMATOR_H
-#define NF_ESTIMATOR_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "policy.h"
@@ -52,5 +48,3 @@ void estimator_observe(struct estimator *estimator, const float gyro[3], const f
 
 /* The step ends with these outputs; `standing`: the motors stand still instead. */
 void estimator_command(struct estimator *estimator, const float output[POLICY_ACTION_COUNT], bool standing);
-
-#endif

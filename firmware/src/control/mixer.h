@@ -1,8 +1,5 @@
 /* Mixer: the controller's motor fractions and the pilot's thrust to outputs, as the controller's mix says (enum nf_mix). */
-#ifndef NF_MIXER_H
-#define NF_MIXER_H
-
-#include <stdbool.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "policy.h"
@@ -39,5 +36,3 @@ float mixer_rest(const struct mixer *mixer, float throttle);
 
 /* Is the thrust (0..1) so low that armed motors are to stand still? Only if the pilot set motor_stop. */
 bool mixer_stops(const struct mixer *mixer, float throttle);
-
-#endif

@@ -1,11 +1,6 @@
 /* Observation: the policy's input, made of terms: named blocks (toolchain/contract/), each optionally low-passed,
  * then optionally delayed by some steps. */
-#ifndef NF_OBSERVATION_H
-#define NF_OBSERVATION_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "common/held.h"
 #include "nf_contract.h"
@@ -59,5 +54,3 @@ void observation_reset(struct observation *o);
 
 /* One control step: writes `width` values. */
 void observation_step(struct observation *o, const struct observation_input *input, float out[]);
-
-#endif

@@ -4,11 +4,7 @@
  * integral is clamped, the derivative is that of the rate through a first-order low-pass. a, the throttle's attenuation,
  * falls from 1 above a throttle; c, the battery's compensation, rises from 1 as the pack sags. The twin's PIDs are this
  * C too: sim/control/library.py. */
-#ifndef NF_PID_H
-#define NF_PID_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "common/held.h"
 #include "nf_contract.h"
@@ -61,5 +57,3 @@ float pid_compensation(const struct pid_gains *gains, float voltage);
  * throttle. */
 void pid_step(struct pid *pid, const float setpoint[3], const float rate[3], float throttle,
 	      float action[POLICY_ACTION_COUNT]);
-
-#endif

@@ -1,9 +1,5 @@
 /* Alert: rhythms of beeper and LED for the most urgent condition. */
-#ifndef NF_ALERT_H
-#define NF_ALERT_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -57,5 +53,3 @@ unsigned alert_count(uint32_t reasons);
 /* Beeper and LED at `ms` since any moment, wrapping. conditions: bit field of enum alert_condition. A rhythm begins when its
  * condition is the first to play, and the count of ALERT_NOT_ARMING anew when it changes. */
 struct alert_state alert_step(struct alert *alert, uint32_t conditions, const struct alert_counts *counts, uint32_t ms);
-
-#endif

@@ -106,18 +106,3 @@ void battery_step(struct battery *battery, uint16_t volts_mv, uint16_t amps_mv, 
 		battery->cells = settings->battery_cells;
 	battery->level = battery_known(battery) ? battery_update_level(battery) : BATTERY_UNKNOWN;
 }
-
-enum battery_level battery_level(const struct battery *battery)
-{
-	return battery->level;
-}
-
-float battery_sag(const struct battery *battery)
-{
-	return battery->rest_volts - battery->volts;
-}
-
-uint32_t battery_mah(const struct battery *battery)
-{
-	return battery->mah;
-}

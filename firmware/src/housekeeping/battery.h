@@ -1,9 +1,5 @@
 /* Battery: cells, level, drawn charge and sag from the pack's voltage and current. Called from the background. */
-#ifndef NF_BATTERY_H
-#define NF_BATTERY_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -18,7 +14,7 @@ enum battery_level {
 
 struct battery {
 	const struct nf_settings *settings;
-	enum battery_level level;
+	enum battery_level level; /* UNKNOWN also below 2.5 V a cell; it rises again 0.1 V a cell above its limit */
 	unsigned cells;      /* of the pack; 0: not known yet */
 	float volts;         /* of the pack, filtered; 0 until measured */
 	float amps;          /* filtered */
@@ -39,14 +35,3 @@ void battery_init(struct battery *battery, const struct nf_settings *settings);
  * The number of cells is the setting, or the fewest that the voltage of the first half second allows; an empty pack
  * of many cells looks like a full one of fewer. Forgotten when the pack has been gone for two seconds. */
 void battery_step(struct battery *battery, uint16_t volts_mv, uint16_t amps_mv, bool valid);
-
-/* UNKNOWN also below 2.5 V a cell. A level is left for a better one 0.1 V a cell above its limit. */
-enum battery_level battery_level(const struct battery *battery);
-
-/* Voltage of the pack at rest minus the present one [V], >= 0. */
-float battery_sag(const struct battery *battery);
-
-/* Charge drawn since boot [mAh]. */
-uint32_t battery_mah(const struct battery *battery);
-
-#endif

@@ -1,12 +1,7 @@
 /* Scheduler: background tasks, one at a time, and the run-time statistics of every task.
  *
  * Time is the gyro sample index; cycles are only measured. */
-#ifndef NF_SCHEDULER_H
-#define NF_SCHEDULER_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -58,5 +53,3 @@ void scheduler_init(struct scheduler *scheduler, const struct task *tasks, size_
 /* Runs the first task of the table that is due at gyro sample `now`, if one is. Returns whether one ran. A task
  * that comes a whole period late is not run twice: it counts as missed. */
 bool scheduler_step(struct scheduler *scheduler, uint32_t now, void *context);
-
-#endif

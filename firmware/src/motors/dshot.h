@@ -1,6 +1,5 @@
 /* DShot: motor fractions to 11-bit values, values to 16-bit frames. */
-#ifndef NF_DSHOT_H
-#define NF_DSHOT_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -10,5 +9,3 @@ uint16_t dshot_value(float fraction);
 
 /* Value (11 bits), telemetry request, checksum: sent most significant bit first. */
 uint16_t dshot_frame(uint16_t value, bool telemetry);
-
-#endif

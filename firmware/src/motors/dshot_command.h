@@ -1,12 +1,7 @@
 /* DShot commands: values 1..47 tell a motor's controller something. Only with the motors stopped, and only those of
  * enum nf_dshot_command. A command is a sequence on the wire: stops, the command as often as the controllers require,
  * stops while they execute it. */
-#ifndef NF_DSHOT_COMMAND_H
-#define NF_DSHOT_COMMAND_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "common/held.h"
 #include "nf_contract.h"
@@ -40,5 +35,3 @@ bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot
 
 /* Returns whether a command is requested or in progress; nothing should arm until it has ended. */
 bool dshot_command_busy(const struct dshot_command *self);
-
-#endif

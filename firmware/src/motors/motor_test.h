@@ -1,12 +1,7 @@
 /* Motor test: turns motors slowly on the bench, without a pilot. The background opens the test and gives values. The
  * interrupt checks what forbids a test whenever safety is updated, and alone ends it. Each side writes only its own
  * part. */
-#ifndef NF_MOTOR_TEST_H
-#define NF_MOTOR_TEST_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "receiver/receiver.h"
@@ -70,5 +65,3 @@ void motor_test_end(struct motor_test *test);
  * stopped for NF_MOTOR_TEST_TIMEOUT_MS: also at the update that ended it, so that the switch that ended it does not
  * arm. */
 bool motor_test_forbids(const struct motor_test *test);
-
-#endif

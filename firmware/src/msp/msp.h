@@ -1,10 +1,5 @@
 /* MSP's frames, v1 and v2: bytes to requests, replies to bytes. */
-#ifndef NF_MSP_H
-#define NF_MSP_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -36,5 +31,3 @@ bool msp_push(struct msp *msp, uint8_t byte);
  * 0, and nothing is written, if it does not fit into `capacity`. */
 size_t msp_frame(unsigned version, uint16_t command, bool refused, const uint8_t *payload, size_t size, uint8_t *frame,
 		 size_t capacity);
-
-#endif

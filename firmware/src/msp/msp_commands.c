@@ -1,4 +1,4 @@
-#include "msp/msp_commands.h"
+#include "msp/msp_request.h"
 
 #include <string.h>
 
@@ -8,19 +8,9 @@
 #include "storage/settings.h"
 #include "storage/settings_store.h"
 
-/* A request and what answers it. */
-struct request {
-	const struct msp_services *services;
-	struct msp_peer *peer;
-	const struct firmware_status *status;
-	struct msp_reader payload;
-	struct msp_writer *reply;
-	int detail; /* of a refusal */
-};
-
-static enum nf_refusal command_tasks(struct request *q)
+static enum nf_refusal command_tasks(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
+	const struct services *s = q->services;
 
 	msp_put_u32(q->reply, s->cycles_hz);
 	msp_put_u8(q->reply, TASK_COUNT);
@@ -36,7 +26,7 @@ static enum nf_refusal command_tasks(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal command_faults(struct request *q)
+static enum nf_refusal command_faults(struct msp_request *q)
 {
 	const struct fault_log *log = q->services->faults;
 
@@ -49,19 +39,17 @@ static enum nf_refusal command_faults(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal command_faults_acknowledge(struct request *q)
+static enum nf_refusal command_faults_acknowledge(struct msp_request *q)
 {
 	return fault_log_acknowledge(q->services->faults, msp_take_u32(&q->payload));
 }
 
-static enum nf_refusal command_acknowledge(struct request *q)
+static enum nf_refusal command_acknowledge(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
-
-	return s->acknowledge ? s->acknowledge(s->context) : NF_REFUSAL_ABSENT;
+	return q->services->acknowledge(q->services->context);
 }
 
-static enum nf_refusal command_setting_info(struct request *q)
+static enum nf_refusal command_setting_info(struct msp_request *q)
 {
 	const struct setting *setting = settings_info_beside(q->services->settings, msp_take_u16(&q->payload));
 
@@ -75,7 +63,7 @@ static enum nf_refusal command_setting_info(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal command_setting_get(struct request *q)
+static enum nf_refusal command_setting_get(struct msp_request *q)
 {
 	const unsigned index = msp_take_u16(&q->payload);
 	const struct setting *setting = settings_info(index);
@@ -89,7 +77,7 @@ static enum nf_refusal command_setting_get(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal command_setting_set(struct request *q)
+static enum nf_refusal command_setting_set(struct msp_request *q)
 {
 	const unsigned index = msp_take_u16(&q->payload);
 	const struct setting *setting = settings_info(index);
@@ -104,7 +92,7 @@ static enum nf_refusal command_setting_set(struct request *q)
 	return settings_set(q->services->settings, index, &value);
 }
 
-static enum nf_refusal command_eeprom_write(struct request *q)
+static enum nf_refusal command_eeprom_write(struct msp_request *q)
 {
 	const enum nf_refusal refusal = settings_save(q->services->settings, q->services->flash);
 
@@ -117,13 +105,11 @@ static enum nf_refusal command_eeprom_write(struct request *q)
 }
 
 /* In a receiver's order, which the channel map is laid over, as the ecosystem's clients expect. */
-static enum nf_refusal command_set_raw_rc(struct request *q)
+static enum nf_refusal command_set_raw_rc(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
+	const struct services *s = q->services;
 	uint16_t channels_us[NF_CHANNEL_COUNT];
 
-	if (!s->channels)
-		return NF_REFUSAL_ABSENT;
 	for (unsigned i = 0; i < NF_CHANNEL_COUNT; ++i) {
 		const bool told = q->payload.left >= sizeof channels_us[0];
 		channels_us[i] = told ? (uint16_t)msp_take_u16(&q->payload) : NF_CHANNEL_UNTOLD_US;
@@ -131,21 +117,17 @@ static enum nf_refusal command_set_raw_rc(struct request *q)
 	return s->channels(s->context, channels_us);
 }
 
-static enum nf_refusal command_motor_test(struct request *q)
+static enum nf_refusal command_motor_test(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
-
-	return s->motor_test ? s->motor_test(s->context, msp_take_u32(&q->payload)) : NF_REFUSAL_ABSENT;
+	return q->services->motor_test(q->services->context, msp_take_u32(&q->payload));
 }
 
 /* The peer forbids arming, or opens the motor test as the ecosystem's app does. */
-static enum nf_refusal command_arming_disable(struct request *q)
+static enum nf_refusal command_arming_disable(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
 	const unsigned disabled = msp_take_u8(&q->payload), test = msp_take_u8(&q->payload);
 
-	return s->arming ? s->arming(s->context, q->peer, disabled != 0, disabled == 0 && test != 0) :
-			   NF_REFUSAL_ABSENT;
+	return q->services->arming(q->services->context, q->peer, disabled != 0, disabled == 0 && test != 0);
 }
 
 /* Opens or closes a motor test for the Betaflight app's wizards (motor order, direction). They ask the user for consent
@@ -153,22 +135,20 @@ static enum nf_refusal command_arming_disable(struct request *q)
  * one value for each motor of the aircraft, none above NF_MOTOR_WIZARD_MAX. (The app's sliders send eight values.) Such
  * a SET_MOTOR opens a test of that peer, limited to NF_MOTOR_WIZARD_MAX; values that stop all motors, or a DShot
  * command, close it. */
-static enum nf_refusal command_wizard(const struct request *q, bool opens)
+static enum nf_refusal command_wizard(const struct msp_request *q, bool opens)
 {
 	return q->peer->locks ? q->services->arming(q->services->context, q->peer, true, opens) : NF_REFUSAL_ORDER;
 }
 #define WIZARD_MAX_US (NF_CHANNEL_MIN_US + (unsigned)(NF_MOTOR_WIZARD_MAX * (NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US)))
 
 /* As many values as there may be motors; a motor that is not there may only be stopped, by 1000 or 0. */
-static enum nf_refusal command_set_motor(struct request *q)
+static enum nf_refusal command_set_motor(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
+	const struct services *s = q->services;
 	bool wizard = q->payload.left == POLICY_ACTION_COUNT * sizeof(uint16_t);
 	uint16_t values_us[NF_MOTOR_COUNT_MAX];
 	size_t count = 0, turning = 0;
 
-	if (!s->motors)
-		return NF_REFUSAL_ABSENT;
 	while (count < NF_MOTOR_COUNT_MAX && q->payload.left >= sizeof values_us[0]) {
 		const uint16_t us = (uint16_t)msp_take_u16(&q->payload);
 		if (us != 0 && (us < NF_CHANNEL_MIN_US || us > NF_CHANNEL_MAX_US))
@@ -195,55 +175,50 @@ static enum nf_refusal command_set_motor(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal command_dshot_command(struct request *q)
+static enum nf_refusal command_dshot_command(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
 	const unsigned motor = msp_take_u8(&q->payload);
 
-	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u8(&q->payload)) : NF_REFUSAL_ABSENT;
+	return q->services->dshot_command(q->services->context, motor, msp_take_u8(&q->payload));
 }
 
 /* Type, motor, count, commands. The frames of a command take time on the wire, so one command is taken at a time, or
  * one followed by SAVE. The type tells the ecosystem's firmware whether to wait for it and makes no difference here.
  * The app's wizard sends commands while motors turn: they stop, and the wizard turns them again. */
-static enum nf_refusal command_send_dshot_command(struct request *q)
+static enum nf_refusal command_send_dshot_command(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
-
 	(void)msp_take_u8(&q->payload);
 	const unsigned motor = msp_take_u8(&q->payload), count = msp_take_u8(&q->payload);
 	if (count == 0 || count > 2 || q->payload.left != count)
 		return NF_REFUSAL_PAYLOAD;
 	(void)command_wizard(q, false);
-	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u16(&q->payload)) : NF_REFUSAL_ABSENT;
+	return q->services->dshot_command(q->services->context, motor, msp_take_u16(&q->payload));
 }
 
-static enum nf_refusal command_calibrate(struct request *q)
+static enum nf_refusal command_calibrate(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
-
-	return s->calibrate ? s->calibrate(s->context) : NF_REFUSAL_ABSENT;
+	return q->services->calibrate(q->services->context);
 }
 
-static enum nf_refusal command_settings_default(struct request *q)
+static enum nf_refusal command_settings_default(struct msp_request *q)
 {
 	settings_default(q->services->settings);
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal command_reset_conf(struct request *q)
+static enum nf_refusal command_reset_conf(struct msp_request *q)
 {
 	settings_default(q->services->settings);
 	return settings_save(q->services->settings, q->services->flash);
 }
 
 /* Does each of two images need the policy that it has? */
-static bool command_slots_held(const struct request *q)
+static bool command_slots_held(const struct msp_request *q)
 {
-	return q->services->image && image_update_holds_slots(q->services->image);
+	return image_update_holds_slots(q->services->image);
 }
 
-static enum nf_refusal command_policy_slot_begin(struct request *q)
+static enum nf_refusal command_policy_slot_begin(struct msp_request *q)
 {
 	if (command_slots_held(q))
 		return NF_REFUSAL_ORDER;
@@ -254,14 +229,14 @@ static enum nf_refusal command_policy_slot_begin(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal command_policy_slot_write(struct request *q)
+static enum nf_refusal command_policy_slot_write(struct msp_request *q)
 {
 	const uint32_t offset = msp_take_u32(&q->payload);
 
 	return policy_slots_write(q->services->slots, offset, q->payload.at, q->payload.left);
 }
 
-static enum nf_refusal command_policy_slot_end(struct request *q)
+static enum nf_refusal command_policy_slot_end(struct msp_request *q)
 {
 	enum nf_err why;
 	const enum nf_refusal refusal = policy_slots_end(q->services->slots, &why);
@@ -270,12 +245,12 @@ static enum nf_refusal command_policy_slot_end(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal command_policy_slot_revert(struct request *q)
+static enum nf_refusal command_policy_slot_revert(struct msp_request *q)
 {
 	return command_slots_held(q) ? NF_REFUSAL_ORDER : policy_slots_revert(q->services->slots);
 }
 
-static enum nf_refusal command_policy_slot_info(struct request *q)
+static enum nf_refusal command_policy_slot_info(struct msp_request *q)
 {
 	const struct policy_slots *slots = q->services->slots;
 	const unsigned source = msp_take_u8(&q->payload);
@@ -306,12 +281,10 @@ static unsigned command_image_flags(const struct image_bank_marks *marks)
 	       (marks->installed ? NF_MSP_IMAGE_INSTALLED : 0u);
 }
 
-static enum nf_refusal command_image_info(struct request *q)
+static enum nf_refusal command_image_info(struct msp_request *q)
 {
 	const struct image_update *image = q->services->image;
 
-	if (!image)
-		return NF_REFUSAL_ABSENT;
 	msp_put_u8(q->reply, image->running);
 	msp_put_u8(q->reply, IMAGE_BANK_COUNT);
 	for (unsigned bank = 0; bank < IMAGE_BANK_COUNT; ++bank) {
@@ -334,14 +307,12 @@ static enum nf_refusal command_image_info(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal command_image_begin(struct request *q)
+static enum nf_refusal command_image_begin(struct msp_request *q)
 {
 	struct nf_image_header header;
 	uint32_t offset;
 	enum nf_err why = NF_OK;
 
-	if (!q->services->image)
-		return NF_REFUSAL_ABSENT;
 	memcpy(&header, q->payload.at, sizeof header);
 	const enum nf_refusal refusal = image_update_begin(q->services->image, &header, &offset, &why);
 	q->detail = why;
@@ -350,22 +321,18 @@ static enum nf_refusal command_image_begin(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal command_image_write(struct request *q)
+static enum nf_refusal command_image_write(struct msp_request *q)
 {
 	const uint32_t offset = msp_take_u32(&q->payload);
 
-	if (!q->services->image)
-		return NF_REFUSAL_ABSENT;
 	return image_update_write(q->services->image, offset, q->payload.at, q->payload.left);
 }
 
-static enum nf_refusal command_image_end(struct request *q)
+static enum nf_refusal command_image_end(struct msp_request *q)
 {
 	uint32_t crc;
 	enum nf_err why = NF_OK;
 
-	if (!q->services->image)
-		return NF_REFUSAL_ABSENT;
 	const enum nf_refusal refusal = image_update_end(q->services->image, &crc, &why);
 	q->detail = why;
 	if (refusal == NF_REFUSAL_NONE)
@@ -373,13 +340,11 @@ static enum nf_refusal command_image_end(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal command_image_hash(struct request *q)
+static enum nf_refusal command_image_hash(struct msp_request *q)
 {
 	const unsigned bank = msp_take_u8(&q->payload);
 	uint8_t digest[SHA256_BYTES];
 
-	if (!q->services->image)
-		return NF_REFUSAL_ABSENT;
 	if (bank >= IMAGE_BANK_COUNT)
 		return NF_REFUSAL_INDEX;
 	q->detail = image_update_hash(q->services->image, bank, digest);
@@ -389,15 +354,13 @@ static enum nf_refusal command_image_hash(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal command_image_switch(struct request *q)
+static enum nf_refusal command_image_switch(struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
+	const struct services *s = q->services;
 	uint8_t told[SHA256_BYTES];
 	uint32_t sequence;
 	enum nf_err why = NF_OK;
 
-	if (!s->image)
-		return NF_REFUSAL_ABSENT;
 	memcpy(told, q->payload.at, sizeof told);
 	const enum nf_refusal refusal = image_update_switch(s->image, s->slots, told, &sequence, &why);
 	q->detail = why;
@@ -406,56 +369,21 @@ static enum nf_refusal command_image_switch(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal command_stream(struct request *q)
+static enum nf_refusal command_stream(struct msp_request *q)
 {
 	const unsigned rate_hz = msp_take_u16(&q->payload);
 
-	if (!q->services->record)
-		return NF_REFUSAL_ABSENT;
 	msp_put_u16(q->reply, msp_stream_start(&q->peer->stream, rate_hz, q->status->trace.step));
 	return NF_REFUSAL_NONE;
 }
 
-/* A message about logs. */
-typedef enum nf_refusal (*log_message)(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
-				       int *detail);
-
-static enum nf_refusal command_log(struct request *q, log_message message)
+static enum nf_refusal command_reboot(struct msp_request *q)
 {
-	struct blackbox *blackbox = q->services->blackbox;
-
-	return blackbox ? message(blackbox, &q->payload, q->reply, &q->detail) : NF_REFUSAL_ABSENT;
-}
-
-static enum nf_refusal command_log_info(struct request *q)
-{
-	return command_log(q, msp_log_info);
-}
-
-static enum nf_refusal command_log_entry(struct request *q)
-{
-	return command_log(q, msp_log_entry);
-}
-
-static enum nf_refusal command_log_read(struct request *q)
-{
-	return command_log(q, msp_log_read);
-}
-
-static enum nf_refusal command_log_erase(struct request *q)
-{
-	return command_log(q, msp_log_erase);
-}
-
-static enum nf_refusal command_reboot(struct request *q)
-{
-	const struct msp_services *s = q->services;
-
 	const unsigned kind = msp_take_u8(&q->payload);
 
 	if (kind != NF_REBOOT_FIRMWARE && kind != NF_REBOOT_ROM)
 		return NF_REFUSAL_PAYLOAD;
-	return s->reboot ? s->reboot(s->context, (enum nf_reboot)kind) : NF_REFUSAL_ABSENT;
+	return q->services->reboot(q->services->context, (enum nf_reboot)kind);
 }
 
 /* When a command may be carried out. */
@@ -469,7 +397,7 @@ static const struct command {
 	enum nf_msp code;
 	enum when when;
 	uint16_t shortest, longest; /* payload [bytes] */
-	enum nf_refusal (*run)(struct request *q);
+	enum nf_refusal (*run)(struct msp_request *q);
 } commands[] = {
 #define COMMAND(message, when, shortest, longest, function) \
 	{ NF_MSP_##message, when, shortest, longest, command_##function },
@@ -491,9 +419,9 @@ static const struct command *command_find(uint16_t code, size_t size, bool *fits
 	return found;
 }
 
-static enum nf_refusal command_run(const struct command *command, struct request *q)
+static enum nf_refusal command_run(const struct command *command, struct msp_request *q)
 {
-	const struct msp_services *s = q->services;
+	const struct services *s = q->services;
 
 	if (command->when == ALWAYS)
 		return command->run(q);
@@ -502,7 +430,7 @@ static enum nf_refusal command_run(const struct command *command, struct request
 	if (command->when == STOPPED)
 		return command->run(q);
 	/* The status is some time old: the motors may have been armed since. */
-	const enum nf_refusal refusal = s->storing ? s->storing(s->context, true) : NF_REFUSAL_ABSENT;
+	const enum nf_refusal refusal = s->storing(s->context, true);
 	if (refusal != NF_REFUSAL_NONE)
 		return refusal;
 	const enum nf_refusal result = command->run(q);
@@ -510,25 +438,13 @@ static enum nf_refusal command_run(const struct command *command, struct request
 	return result;
 }
 
-bool msp_command(const struct msp_services *services, struct msp_peer *peer, const struct firmware_status *status,
-		 uint16_t code, const uint8_t *payload, size_t size, struct msp_writer *reply, enum nf_refusal *refusal)
+bool msp_command(struct msp_request *q)
 {
-	struct request q = {
-		.services = services,
-		.peer = peer,
-		.status = status,
-		.payload = { payload, size },
-		.reply = reply,
-	};
 	bool fits;
-	const struct command *command = command_find(code, size, &fits);
+	const struct command *command = command_find(q->command, q->payload.left, &fits);
 
 	if (!command)
 		return false;
-	*refusal = fits ? command_run(command, &q) : NF_REFUSAL_PAYLOAD;
-	if (*refusal != NF_REFUSAL_NONE) {
-		msp_put_u8(reply, *refusal);
-		msp_put_u16(reply, (unsigned)q.detail);
-	}
+	q->refusal = fits ? command_run(command, q) : NF_REFUSAL_PAYLOAD;
 	return true;
 }

@@ -1,10 +1,9 @@
-#include "msp/msp_fields.h"
+#include "msp/msp_configure.h"
 
 #include <stddef.h>
 #include <string.h>
 
 #include "common/limit.h"
-#include "msp/msp_sources.h"
 #include "storage/settings.h"
 
 static const struct field {
@@ -87,37 +86,35 @@ static uint32_t fields_choice(const struct field *field, uint32_t choice)
 	return choice < 3 ? (uint32_t)field->number >> 4 * choice & 0xFu : UINT8_MAX;
 }
 
-static uint32_t fields_tell(const struct msp_view *view, const struct field *field)
+static uint32_t fields_tell(const struct msp_request *q, const struct field *field)
 {
-	union setting_value value;
-
 	switch ((enum nf_msp_how)field->how) {
 	case NF_MSP_HOW_CONSTANT:
 	case NF_MSP_HOW_UNUSED:
 		return (uint32_t)field->number & fields_mask(field);
 	case NF_MSP_HOW_SOURCE: {
-		const uint32_t told = msp_source_get(view, (enum nf_msp_source)field->index, (unsigned)field->number);
+		const uint32_t told = msp_source_get(q, (enum nf_msp_source)field->index, (unsigned)field->number);
 		return told < fields_mask(field) ? told : fields_mask(field);
 	}
 	case NF_MSP_HOW_SCALED:
 	case NF_MSP_HOW_CHOICE:
 		break;
 	}
-	settings_get(view->settings, field->index, &value);
 	if (field->how == NF_MSP_HOW_CHOICE)
-		return fields_choice(field, value.as_uint32_t);
-	const bool whole = settings_info(field->index)->kind == SETTING_uint32_t;
-	const float number = whole ? (float)value.as_uint32_t : value.as_float;
+		return fields_choice(field, settings_whole(q->settings, field->index));
+	const float number = settings_info(field->index)->kind == SETTING_uint32_t ?
+				     (float)settings_whole(q->settings, field->index) :
+				     settings_number(q->settings, field->index);
 	return fields_fit(field, number * field->gain + (float)field->number) & fields_mask(field);
 }
 
-static enum nf_refusal fields_put_choice(const struct msp_view *view, const struct field *field, uint32_t raw)
+static enum nf_refusal fields_put_choice(const struct msp_request *q, const struct field *field, uint32_t raw)
 {
 	const uint32_t last = settings_limits(settings_info(field->index))->high.as_uint32_t;
 
 	for (uint32_t choice = 0; choice <= last; ++choice)
 		if (fields_choice(field, choice) == raw)
-			return settings_set_whole(view->settings, field->index, choice);
+			return settings_set_whole(q->settings, field->index, choice);
 	return NF_REFUSAL_PAYLOAD;
 }
 
@@ -128,28 +125,28 @@ static float fields_number(const struct field *field, uint32_t raw)
 	return field->bytes == 1 ? (float)(int8_t)raw : (float)(int16_t)raw;
 }
 
-static enum nf_refusal fields_put_scaled(const struct msp_view *view, const struct field *field, uint32_t raw)
+static enum nf_refusal fields_put_scaled(const struct msp_request *q, const struct field *field, uint32_t raw)
 {
 	const float number = (fields_number(field, raw) - (float)field->number) / field->gain;
 
 	if (settings_info(field->index)->kind == SETTING_float)
-		return settings_set_number(view->settings, field->index, number);
-	return number >= 0.0f ? settings_set_whole(view->settings, field->index, (uint32_t)(number + 0.5f)) :
+		return settings_set_number(q->settings, field->index, number);
+	return number >= 0.0f ? settings_set_whole(q->settings, field->index, (uint32_t)(number + 0.5f)) :
 				NF_REFUSAL_RANGE;
 }
 
 /* Applies a value that differs from the GET's: precision that the ecosystem's units lack is never written back. */
-static enum nf_refusal fields_put(const struct msp_view *view, const struct field *field, uint32_t raw)
+static enum nf_refusal fields_put(const struct msp_request *q, const struct field *field, uint32_t raw)
 {
-	if (field->how == NF_MSP_HOW_UNUSED || raw == fields_tell(view, field))
+	if (field->how == NF_MSP_HOW_UNUSED || raw == fields_tell(q, field))
 		return NF_REFUSAL_NONE;
 	switch ((enum nf_msp_how)field->how) {
 	case NF_MSP_HOW_SCALED:
-		return fields_put_scaled(view, field, raw);
+		return fields_put_scaled(q, field, raw);
 	case NF_MSP_HOW_CHOICE:
-		return fields_put_choice(view, field, raw);
+		return fields_put_choice(q, field, raw);
 	case NF_MSP_HOW_SOURCE:
-		return msp_source_set(view, (enum nf_msp_source)field->index, (unsigned)field->number, raw);
+		return msp_source_set(q, (enum nf_msp_source)field->index, (unsigned)field->number, raw);
 	case NF_MSP_HOW_CONSTANT:
 	case NF_MSP_HOW_UNUSED:
 		break;
@@ -158,51 +155,49 @@ static enum nf_refusal fields_put(const struct msp_view *view, const struct fiel
 }
 
 /* --- Whole messages ---------------------------------------------------------------------------------- */
-static bool fields_offered(const struct msp_view *view, const struct message *message)
+static bool fields_offered(const struct msp_request *q, const struct message *message)
 {
 	return (message->get != NF_MSP_FILTER_CONFIG && message->get != NF_MSP_SIMPLIFIED_TUNING) ||
-	       msp_filters_fit(view->settings);
+	       msp_filters_fit(q->settings);
 }
 
-enum nf_refusal msp_fields_get(const struct msp_view *view, int index, struct msp_writer *reply)
+enum nf_refusal msp_fields_get(struct msp_request *q, int index)
 {
 	const struct message *message = &messages[index];
 
-	if (!fields_offered(view, message))
+	if (!fields_offered(q, message))
 		return NF_REFUSAL_ABSENT;
 	for (unsigned i = 0; i < message->count; ++i) {
 		const struct field *field = &kinds[order[message->first + i]];
-		const uint32_t raw = fields_tell(view, field);
+		const uint32_t raw = fields_tell(q, field);
 		for (unsigned byte = 0; byte < field->bytes; ++byte)
-			msp_put_u8(reply, raw >> 8 * byte);
+			msp_put_u8(q->reply, raw >> 8 * byte);
 	}
 	return NF_REFUSAL_NONE;
 }
 
 /* Another type of rates goes before the rates, as it sets them all; in the payload it is the last. */
-static enum nf_refusal fields_put_rates_type(const struct msp_view *view, const struct message *message,
-					     struct msp_reader payload)
+static enum nf_refusal fields_put_rates_type(const struct msp_request *q, const struct message *message)
 {
 	unsigned at = 0;
 
 	for (unsigned i = 0; i < message->set_count; ++i) {
 		const struct field *field = &kinds[order[message->set_first + i]];
-		if (field->how == NF_MSP_HOW_SOURCE && field->index == NF_MSP_SOURCE_RATES_TYPE && payload.left > at)
-			return fields_put(view, field, payload.at[at]);
+		if (field->how == NF_MSP_HOW_SOURCE && field->index == NF_MSP_SOURCE_RATES_TYPE && q->payload.left > at)
+			return fields_put(q, field, q->payload.at[at]);
 		at += field->bytes;
 	}
 	return NF_REFUSAL_NONE;
 }
 
 /* Fields that make one setting together go before all others, too. What is too short is refused behind this. */
-static enum nf_refusal fields_put_voltage(const struct msp_view *view, const struct message *message,
-					  struct msp_reader payload)
+static enum nf_refusal fields_put_voltage(const struct msp_request *q, const struct message *message)
 {
 	enum { PARTS = 1, BYTES = 4 }; /* behind the meter's number */
 
-	if (message->set != NF_MSP_SET_VOLTAGE_METER_CONFIG || payload.left < BYTES)
+	if (message->set != NF_MSP_SET_VOLTAGE_METER_CONFIG || q->payload.left < BYTES)
 		return NF_REFUSAL_NONE;
-	return msp_source_set_voltage(view, payload.at + PARTS);
+	return msp_source_set_voltage(q, q->payload.at + PARTS);
 }
 
 static uint32_t fields_take(struct msp_reader *payload, const struct field *field)
@@ -214,20 +209,20 @@ static uint32_t fields_take(struct msp_reader *payload, const struct field *fiel
 	return raw;
 }
 
-enum nf_refusal msp_fields_set(const struct msp_view *view, int index, struct msp_reader payload)
+enum nf_refusal msp_fields_set(struct msp_request *q, int index)
 {
 	const struct message *message = &messages[index];
 
-	if (!fields_offered(view, message))
+	if (!fields_offered(q, message))
 		return NF_REFUSAL_ABSENT;
-	if (fields_put_rates_type(view, message, payload) != NF_REFUSAL_NONE)
+	if (fields_put_rates_type(q, message) != NF_REFUSAL_NONE)
 		return NF_REFUSAL_PAYLOAD;
-	enum nf_refusal refusal = fields_put_voltage(view, message, payload);
-	for (unsigned i = 0; i < message->set_count && (payload.left > 0 || i < message->required); ++i) {
+	enum nf_refusal refusal = fields_put_voltage(q, message);
+	for (unsigned i = 0; i < message->set_count && (q->payload.left > 0 || i < message->required); ++i) {
 		const struct field *field = &kinds[order[message->set_first + i]];
-		if (payload.left < field->bytes)
+		if (q->payload.left < field->bytes)
 			return NF_REFUSAL_PAYLOAD;
-		if (fields_put(view, field, fields_take(&payload, field)) != NF_REFUSAL_NONE)
+		if (fields_put(q, field, fields_take(&q->payload, field)) != NF_REFUSAL_NONE)
 			refusal = NF_REFUSAL_RANGE;
 	}
 	return refusal;

@@ -1,4 +1,4 @@
-#include "msp/msp_lists.h"
+#include "msp/msp_configure.h"
 
 #include <stddef.h>
 #include <string.h>
@@ -12,32 +12,29 @@ _Static_assert(SETTING_AT_mode20 - SETTING_AT_mode1 == NF_MODE_SLOT_COUNT - 1, "
 
 static struct mode_range lists_mode(const struct nf_settings *s, unsigned slot)
 {
-	union setting_value value;
-
-	settings_get(s, SETTING_AT_mode1 + slot, &value);
-	return mode_range_unpack(value.as_mode);
+	return mode_range_unpack(settings_whole(s, SETTING_AT_mode1 + slot));
 }
 
-static enum nf_refusal lists_modes(const struct msp_view *view, struct msp_writer *reply)
+static enum nf_refusal lists_modes(struct msp_request *q)
 {
 	for (unsigned slot = 0; slot < NF_MODE_SLOT_COUNT; ++slot) {
-		const struct mode_range range = lists_mode(view->settings, slot);
-		msp_put_u8(reply, range.mode);
-		msp_put_u8(reply, range.aux);
-		msp_put_u8(reply, range.low);
-		msp_put_u8(reply, range.high);
+		const struct mode_range range = lists_mode(q->settings, slot);
+		msp_put_u8(q->reply, range.mode);
+		msp_put_u8(q->reply, range.aux);
+		msp_put_u8(q->reply, range.low);
+		msp_put_u8(q->reply, range.high);
 	}
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal lists_modes_extra(const struct msp_view *view, struct msp_writer *reply)
+static enum nf_refusal lists_modes_extra(struct msp_request *q)
 {
-	msp_put_u8(reply, NF_MODE_SLOT_COUNT);
+	msp_put_u8(q->reply, NF_MODE_SLOT_COUNT);
 	for (unsigned slot = 0; slot < NF_MODE_SLOT_COUNT; ++slot) {
-		const struct mode_range range = lists_mode(view->settings, slot);
-		msp_put_u8(reply, range.mode);
-		msp_put_u8(reply, range.and_others);
-		msp_put_u8(reply, 0); /* linked to no other mode */
+		const struct mode_range range = lists_mode(q->settings, slot);
+		msp_put_u8(q->reply, range.mode);
+		msp_put_u8(q->reply, range.and_others);
+		msp_put_u8(q->reply, 0); /* linked to no other mode */
 	}
 	return NF_REFUSAL_NONE;
 }
@@ -47,30 +44,30 @@ static enum nf_refusal lists_modes_extra(const struct msp_view *view, struct msp
 #define MODE_BYTES_LOGIC 6u
 #define STEP_MAX NF_MODE_STEPS
 
-static enum nf_refusal lists_set_mode(const struct msp_view *view, struct msp_reader payload)
+static enum nf_refusal lists_set_mode(struct msp_request *q)
 {
-	const size_t size = payload.left;
-	const unsigned slot = msp_take_u8(&payload);
+	const size_t size = q->payload.left;
+	const unsigned slot = msp_take_u8(&q->payload);
 
 	if (size < MODE_BYTES)
 		return NF_REFUSAL_PAYLOAD;
 	if (slot >= NF_MODE_SLOT_COUNT)
 		return NF_REFUSAL_INDEX;
-	const struct mode_range told = lists_mode(view->settings, slot);
+	const struct mode_range told = lists_mode(q->settings, slot);
 	struct mode_range range = { .and_others = told.and_others };
-	range.mode = (uint8_t)msp_take_u8(&payload);
-	range.aux = (uint8_t)msp_take_u8(&payload);
-	range.low = (uint8_t)msp_take_u8(&payload);
-	range.high = (uint8_t)msp_take_u8(&payload);
-	const unsigned logic = size >= MODE_BYTES_LOGIC ? msp_take_u8(&payload) : range.and_others;
-	const unsigned linked = msp_take_u8(&payload);
+	range.mode = (uint8_t)msp_take_u8(&q->payload);
+	range.aux = (uint8_t)msp_take_u8(&q->payload);
+	range.low = (uint8_t)msp_take_u8(&q->payload);
+	range.high = (uint8_t)msp_take_u8(&q->payload);
+	const unsigned logic = size >= MODE_BYTES_LOGIC ? msp_take_u8(&q->payload) : range.and_others;
+	const unsigned linked = msp_take_u8(&q->payload);
 	range.and_others = logic == 1;
 	/* The app assigns slots anew at each save. If this range is refused, the slot's old one, which the pilot may
 	 * have deleted, must not stay. */
-	(void)settings_set_whole(view->settings, SETTING_AT_mode1 + slot, 0);
+	(void)settings_set_whole(q->settings, SETTING_AT_mode1 + slot, 0);
 	if (logic > 1 || linked != 0 || range.aux >= NF_AUX_COUNT || range.low > STEP_MAX || range.high > STEP_MAX)
 		return NF_REFUSAL_RANGE; /* each must fit into its bits */
-	return settings_set_whole(view->settings, SETTING_AT_mode1 + slot, mode_range_pack(&range));
+	return settings_set_whole(q->settings, SETTING_AT_mode1 + slot, mode_range_pack(&range));
 }
 
 /* --- Failsafe: what each channel is taken as while frames are missing ------------------------------------ */
@@ -89,19 +86,20 @@ static unsigned lists_rxfail_told(unsigned place)
 	return place == 2 ? NF_CHANNEL_YAW : place == 3 ? NF_CHANNEL_THROTTLE : place;
 }
 
-static enum nf_refusal lists_rxfail(struct msp_writer *reply)
+static enum nf_refusal lists_rxfail(struct msp_request *q)
 {
 	for (unsigned place = 0; place < NF_CHANNEL_COUNT; ++place) {
-		msp_put_u8(reply, lists_rxfail_mode(lists_rxfail_told(place)));
-		msp_put_u16(reply, NF_CHANNEL_MID_US);
+		msp_put_u8(q->reply, lists_rxfail_mode(lists_rxfail_told(place)));
+		msp_put_u16(q->reply, NF_CHANNEL_MID_US);
 	}
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal lists_set_rxfail(struct msp_reader payload)
+static enum nf_refusal lists_set_rxfail(struct msp_request *q)
 {
-	const size_t size = payload.left;
-	const unsigned place = msp_take_u8(&payload), mode = msp_take_u8(&payload), us = msp_take_u16(&payload);
+	const size_t size = q->payload.left;
+	const unsigned place = msp_take_u8(&q->payload), mode = msp_take_u8(&q->payload),
+		       us = msp_take_u16(&q->payload);
 
 	if (size < 4)
 		return NF_REFUSAL_PAYLOAD;
@@ -161,34 +159,39 @@ static unsigned lists_log_baud(unsigned number)
 
 static unsigned lists_baud_index(const struct nf_settings *s, unsigned setting)
 {
-	union setting_value baud;
-
-	if (setting == NF_SETTING_COUNT)
-		return BAUD_AUTO;
-	settings_get(s, setting, &baud);
-	for (size_t i = 0; i < sizeof rates / sizeof rates[0]; ++i)
-		if (rates[i].hectobaud * HECTOBAUD == baud.as_uint32_t)
+	for (size_t i = 0; i < sizeof rates / sizeof rates[0] && setting != NF_SETTING_COUNT; ++i)
+		if (rates[i].hectobaud * HECTOBAUD == settings_whole(s, setting))
 			return rates[i].index;
 	return BAUD_AUTO;
 }
 
 /* old: the form of older peers, which tells fewer functions and no count. */
-static enum nf_refusal lists_ports(const struct msp_view *view, struct msp_writer *reply, bool old)
+static enum nf_refusal lists_ports(struct msp_request *q, bool old)
 {
 	if (!old)
-		msp_put_u8(reply, LINE_COUNT);
+		msp_put_u8(q->reply, LINE_COUNT);
 	for (unsigned number = 0; number < LINE_COUNT; ++number) {
-		const uint32_t functions = lists_functions(view->settings, number);
-		msp_put_u8(reply, number);
+		const uint32_t functions = lists_functions(q->settings, number);
+		msp_put_u8(q->reply, number);
 		if (old)
-			msp_put_u16(reply, functions);
+			msp_put_u16(q->reply, functions);
 		else
-			msp_put_u32(reply, functions);
-		msp_put_u8(reply, lists_baud_index(view->settings, lists_baud(number)));
-		msp_put_zeros(reply, 2); /* of GPS and telemetry: there are none */
-		msp_put_u8(reply, lists_baud_index(view->settings, lists_log_baud(number)));
+			msp_put_u32(q->reply, functions);
+		msp_put_u8(q->reply, lists_baud_index(q->settings, lists_baud(number)));
+		msp_put_zeros(q->reply, 2); /* of GPS and telemetry: there are none */
+		msp_put_u8(q->reply, lists_baud_index(q->settings, lists_log_baud(number)));
 	}
 	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal lists_old_ports(struct msp_request *q)
+{
+	return lists_ports(q, true);
+}
+
+static enum nf_refusal lists_new_ports(struct msp_request *q)
+{
+	return lists_ports(q, false);
 }
 
 static enum nf_refusal lists_set_baud(struct nf_settings *s, unsigned setting, unsigned index)
@@ -213,7 +216,7 @@ static enum nf_refusal lists_set_functions(struct nf_settings *s, unsigned numbe
 }
 
 /* Baud rates of functions that the line does not have are ignored: the app sends one for each function. */
-static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_reader payload)
+static enum nf_refusal lists_set_port(struct nf_settings *settings, struct msp_reader payload)
 {
 	const unsigned number = msp_take_u8(&payload);
 	const uint32_t functions = msp_take_u32(&payload);
@@ -222,53 +225,50 @@ static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_re
 	(void)msp_take_u16(&payload); /* of GPS and telemetry */
 	if (number >= LINE_COUNT)
 		return NF_REFUSAL_INDEX;
-	const enum nf_refusal refusal = lists_set_functions(view->settings, number, functions);
+	const enum nf_refusal refusal = lists_set_functions(settings, number, functions);
 	if (refusal != NF_REFUSAL_NONE)
 		return refusal;
 	if (functions == FUNCTION_MSP)
-		return lists_set_baud(view->settings, lists_baud(number), baud);
+		return lists_set_baud(settings, lists_baud(number), baud);
 	return functions == FUNCTION_BLACKBOX ?
-		       lists_set_baud(view->settings, SETTING_AT_blackbox_baud, msp_take_u8(&payload)) :
+		       lists_set_baud(settings, SETTING_AT_blackbox_baud, msp_take_u8(&payload)) :
 		       NF_REFUSAL_NONE;
 }
 
 /* Takes the ports that exist and refuses the others. Newer peers may send longer rows. */
-static enum nf_refusal lists_set_ports(const struct msp_view *view, struct msp_reader payload)
+static enum nf_refusal lists_set_ports(struct msp_request *q)
 {
-	const unsigned count = msp_take_u8(&payload);
+	const unsigned count = msp_take_u8(&q->payload);
 	enum nf_refusal refusal = NF_REFUSAL_NONE;
 
-	if (count == 0 || payload.left < (size_t)count * PORT_BYTES)
+	if (count == 0 || q->payload.left < (size_t)count * PORT_BYTES)
 		return NF_REFUSAL_PAYLOAD;
-	const size_t bytes = payload.left / count;
+	const size_t bytes = q->payload.left / count;
 	for (unsigned i = 0; i < count; ++i)
-		if (lists_set_port(view, (struct msp_reader){ payload.at + i * bytes, bytes }) != NF_REFUSAL_NONE)
+		if (lists_set_port(q->settings, (struct msp_reader){ q->payload.at + i * bytes, bytes }) !=
+		    NF_REFUSAL_NONE)
 			refusal = NF_REFUSAL_RANGE;
 	return refusal;
 }
 
 /* --- Motor outputs: counted from 0 on the wire, from 1 in the settings ------------------------------------ */
-static enum nf_refusal lists_outputs(const struct msp_view *view, struct msp_writer *reply)
+static enum nf_refusal lists_outputs(struct msp_request *q)
 {
-	union setting_value output;
-
-	msp_put_u8(reply, NF_MOTOR_COUNT_MAX);
-	for (unsigned motor = 0; motor < NF_MOTOR_COUNT_MAX; ++motor) {
-		settings_get(view->settings, SETTING_AT_motor1_output + motor, &output);
-		msp_put_u8(reply, output.as_uint32_t - 1u);
-	}
+	msp_put_u8(q->reply, NF_MOTOR_COUNT_MAX);
+	for (unsigned motor = 0; motor < NF_MOTOR_COUNT_MAX; ++motor)
+		msp_put_u8(q->reply, settings_whole(q->settings, SETTING_AT_motor1_output + motor) - 1u);
 	return NF_REFUSAL_NONE;
 }
 
 /* Takes all outputs or none: a part of a motor order means another order. */
-static enum nf_refusal lists_set_outputs(const struct msp_view *view, struct msp_reader payload)
+static enum nf_refusal lists_set_outputs(struct msp_request *q)
 {
-	const unsigned count = msp_take_u8(&payload);
+	const unsigned count = msp_take_u8(&q->payload);
 
-	if (count == 0 || count > NF_MOTOR_COUNT_MAX || payload.left < count)
+	if (count == 0 || count > NF_MOTOR_COUNT_MAX || q->payload.left < count)
 		return NF_REFUSAL_PAYLOAD;
 	for (unsigned motor = 0; motor < count; ++motor)
-		if (settings_set_whole(view->settings, SETTING_AT_motor1_output + motor, msp_take_u8(&payload) + 1u) !=
+		if (settings_set_whole(q->settings, SETTING_AT_motor1_output + motor, msp_take_u8(&q->payload) + 1u) !=
 		    NF_REFUSAL_NONE)
 			return NF_REFUSAL_PAYLOAD;
 	return NF_REFUSAL_NONE;
@@ -295,15 +295,15 @@ static const char *lists_text(const struct nf_settings *s, unsigned kind)
 	}
 }
 
-static enum nf_refusal lists_get_text(const struct msp_view *view, struct msp_reader payload, struct msp_writer *reply)
+static enum nf_refusal lists_get_text(struct msp_request *q)
 {
-	const unsigned kind = msp_take_u8(&payload);
-	const char *text = lists_text(view->settings, kind);
+	const unsigned kind = msp_take_u8(&q->payload);
+	const char *text = lists_text(q->settings, kind);
 
 	if (!text)
 		return NF_REFUSAL_INDEX;
-	msp_put_u8(reply, kind);
-	msp_put_counted_text(reply, text, kind == TEXT_RELEASE ? MSP_TEXT_MAX : NF_SETTING_TEXT_BYTES);
+	msp_put_u8(q->reply, kind);
+	msp_put_counted_text(q->reply, text, kind == TEXT_RELEASE ? MSP_TEXT_MAX : NF_SETTING_TEXT_BYTES);
 	return NF_REFUSAL_NONE;
 }
 
@@ -316,84 +316,64 @@ static bool lists_same_text(const char *text, const union setting_value *value)
 	return i == NF_SETTING_TEXT_BYTES || text[i] == value->as_text[i];
 }
 
-static enum nf_refusal lists_set_text(const struct msp_view *view, struct msp_reader payload)
+static enum nf_refusal lists_set_text(struct msp_request *q)
 {
-	const size_t size = payload.left;
-	const unsigned kind = msp_take_u8(&payload), length = msp_take_u8(&payload);
-	const char *text = lists_text(view->settings, kind);
+	const size_t size = q->payload.left;
+	const unsigned kind = msp_take_u8(&q->payload), length = msp_take_u8(&q->payload);
+	const char *text = lists_text(q->settings, kind);
 	union setting_value value;
 
 	if (!text)
 		return NF_REFUSAL_INDEX;
-	if (size < 2 || payload.left < length)
+	if (size < 2 || q->payload.left < length)
 		return NF_REFUSAL_PAYLOAD;
 	if (length > NF_SETTING_TEXT_BYTES)
 		return NF_REFUSAL_RANGE;
 	memset(&value, 0, sizeof value);
-	memcpy(value.as_text, payload.at, length);
+	memcpy(value.as_text, q->payload.at, length);
 	if (lists_same_text(text, &value))
 		return NF_REFUSAL_NONE;
 	if (kind != TEXT_PILOT && kind != TEXT_CRAFT)
 		return NF_REFUSAL_PAYLOAD;
-	return settings_set(view->settings, kind == TEXT_PILOT ? SETTING_AT_pilot_name : SETTING_AT_craft_name, &value);
+	return settings_set(q->settings, kind == TEXT_PILOT ? SETTING_AT_pilot_name : SETTING_AT_craft_name, &value);
 }
 
 /* --- All of them ------------------------------------------------------------------------------------------ */
 #define ADJUSTMENT_BYTES (6u * NF_MSP_ADJUSTMENT_SLOTS)
 
-bool msp_lists_get(const struct msp_view *view, uint16_t command, struct msp_reader payload, struct msp_writer *reply,
-		   enum nf_refusal *refusal)
+static enum nf_refusal lists_adjustments(struct msp_request *q)
 {
-	*refusal = NF_REFUSAL_NONE;
-	switch (command) {
-	case NF_MSP_MODE_RANGES:
-		*refusal = lists_modes(view, reply);
-		return true;
-	case NF_MSP_MODE_RANGES_EXTRA:
-		*refusal = lists_modes_extra(view, reply);
-		return true;
-	case NF_MSP_ADJUSTMENT_RANGES:
-		msp_put_zeros(reply, ADJUSTMENT_BYTES);
-		return true;
-	case NF_MSP_RXFAIL_CONFIG:
-		*refusal = lists_rxfail(reply);
-		return true;
-	case NF_MSP_SERIAL_CONFIG:
-		*refusal = lists_ports(view, reply, true);
-		return true;
-	case NF_MSP_COMMON_SERIAL_CONFIG:
-		*refusal = lists_ports(view, reply, false);
-		return true;
-	case NF_MSP_MOTOR_OUTPUT_REORDERING:
-		*refusal = lists_outputs(view, reply);
-		return true;
-	case NF_MSP_GET_TEXT:
-		*refusal = lists_get_text(view, payload, reply);
-		return true;
-	default:
-		return false;
-	}
+	msp_put_zeros(q->reply, ADJUSTMENT_BYTES);
+	return NF_REFUSAL_NONE;
 }
 
-bool msp_lists_set(const struct msp_view *view, uint16_t command, struct msp_reader payload, enum nf_refusal *refusal)
+static const struct list {
+	uint16_t command;
+	bool sets;
+	enum nf_refusal (*run)(struct msp_request *q);
+} lists[] = {
+	{ NF_MSP_MODE_RANGES, false, lists_modes },
+	{ NF_MSP_MODE_RANGES_EXTRA, false, lists_modes_extra },
+	{ NF_MSP_SET_MODE_RANGE, true, lists_set_mode },
+	{ NF_MSP_ADJUSTMENT_RANGES, false, lists_adjustments },
+	{ NF_MSP_RXFAIL_CONFIG, false, lists_rxfail },
+	{ NF_MSP_SET_RXFAIL_CONFIG, true, lists_set_rxfail },
+	{ NF_MSP_SERIAL_CONFIG, false, lists_old_ports },
+	{ NF_MSP_COMMON_SERIAL_CONFIG, false, lists_new_ports },
+	{ NF_MSP_COMMON_SET_SERIAL_CONFIG, true, lists_set_ports },
+	{ NF_MSP_MOTOR_OUTPUT_REORDERING, false, lists_outputs },
+	{ NF_MSP_SET_MOTOR_OUTPUT_REORDERING, true, lists_set_outputs },
+	{ NF_MSP_GET_TEXT, false, lists_get_text },
+	{ NF_MSP_SET_TEXT, true, lists_set_text },
+};
+
+bool msp_lists(struct msp_request *q, bool sets)
 {
-	switch (command) {
-	case NF_MSP_SET_MODE_RANGE:
-		*refusal = lists_set_mode(view, payload);
-		return true;
-	case NF_MSP_SET_RXFAIL_CONFIG:
-		*refusal = lists_set_rxfail(payload);
-		return true;
-	case NF_MSP_COMMON_SET_SERIAL_CONFIG:
-		*refusal = lists_set_ports(view, payload);
-		return true;
-	case NF_MSP_SET_MOTOR_OUTPUT_REORDERING:
-		*refusal = lists_set_outputs(view, payload);
-		return true;
-	case NF_MSP_SET_TEXT:
-		*refusal = lists_set_text(view, payload);
-		return true;
-	default:
-		return false;
+	for (size_t i = 0; i < sizeof lists / sizeof lists[0]; ++i) {
+		if (lists[i].command == q->command && lists[i].sets == sets) {
+			q->refusal = lists[i].run(q);
+			return true;
+		}
 	}
+	return false;
 }

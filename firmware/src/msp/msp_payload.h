@@ -1,6 +1,5 @@
 /* Payloads of MSP: little-endian numbers and texts, put in and taken out one after the other. */
-#ifndef NF_MSP_PAYLOAD_H
-#define NF_MSP_PAYLOAD_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -38,5 +37,3 @@ struct msp_reader {
 unsigned msp_take_u8(struct msp_reader *r);
 unsigned msp_take_u16(struct msp_reader *r);
 uint32_t msp_take_u32(struct msp_reader *r);
-
-#endif

@@ -1,26 +1,19 @@
 #include "msp/msp_port.h"
 
-#include "msp/msp_commands.h"
-#include "msp/msp_configure.h"
-#include "msp/msp_replies.h"
-
-void msp_port_init(struct msp_port *port, const struct board_identity *identity, const struct msp_services *services)
+void msp_port_init(struct msp_port *port, const struct services *services)
 {
-	*port = (struct msp_port){ .identity = identity, .services = services };
+	*port = (struct msp_port){ .services = services };
 	msp_reset(&port->msp);
-	command_line_init(&port->command_line, services ? services->command_line : NULL);
+	command_line_init(&port->command_line, services);
 }
 
 void msp_port_reset(struct msp_port *port)
 {
-	const struct msp_services *services = port->services;
-
 	msp_reset(&port->msp);
 	command_line_leave(&port->command_line);
 	port->hidden = 0;
 	port->held = 0;
-	if (services && services->arming)
-		(void)services->arming(services->context, &port->peer, false, false);
+	(void)port->services->arming(port->services->context, &port->peer, false, false);
 	port->peer = (struct msp_peer){ 0 };
 }
 
@@ -39,42 +32,32 @@ void msp_port_lost(struct msp_port *port)
 	port->hidden = 0;
 }
 
-/* Carries out the request just read. Returns whether it is refused, for being unknown or otherwise. */
-static bool msp_port_carry_out(struct msp_port *port, const struct firmware_status *status, struct msp_writer *payload)
-{
-	const struct msp_services *services = port->services;
-	const struct msp *msp = &port->msp;
-	const struct msp_facts facts = {
-		.identity = port->identity,
-		.status = status,
-		.slots = services ? services->slots : NULL,
-		.settings = services ? services->settings : NULL,
-	};
-	enum nf_refusal refusal;
-
-	if (services && services->heard)
-		services->heard(services->context, &port->peer);
-	if (msp_reply(msp->command, &facts, payload))
-		return false;
-	if (!services)
-		return true;
-	return !(msp_configure(services, status, &port->peer, msp->command, msp->payload, msp->size, payload,
-			       &refusal) ||
-		 msp_command(services, &port->peer, status, msp->command, msp->payload, msp->size, payload,
-			     &refusal)) ||
-	       refusal != NF_REFUSAL_NONE;
-}
-
 /* Writes the reply to the request just read; 0 bytes if it does not fit. */
 static size_t msp_port_answer(struct msp_port *port, const struct firmware_status *status, uint8_t *reply,
 			      size_t capacity)
 {
+	const struct services *services = port->services;
 	const struct msp *msp = &port->msp;
 	uint8_t payload[MSP_REPLY_MAX];
 	struct msp_writer writer = { payload, payload + sizeof payload };
-	const bool refused = msp_port_carry_out(port, status, &writer);
+	struct msp_request q = {
+		.services = services,
+		.peer = &port->peer,
+		.status = status,
+		.settings = services->settings,
+		.command = msp->command,
+		.payload = { msp->payload, msp->size },
+		.reply = &writer,
+	};
 
-	return msp_frame(msp->version, msp->command, refused, payload, (size_t)(writer.at - payload), reply, capacity);
+	services->heard(services->context, &port->peer);
+	const bool known = msp_reply(&q) || msp_configure(&q) || msp_command(&q);
+	if (q.refusal != NF_REFUSAL_NONE) {
+		msp_put_u8(&writer, q.refusal);
+		msp_put_u16(&writer, (unsigned)q.detail);
+	}
+	return msp_frame(msp->version, msp->command, !known || q.refusal != NF_REFUSAL_NONE, payload,
+			 (size_t)(writer.at - payload), reply, capacity);
 }
 
 /* Writes the stream record that is due. */
@@ -167,7 +150,7 @@ static size_t msp_port_take(struct msp_port *port, const struct firmware_status 
 		return msp_port_type(port, status, byte, reply, capacity);
 	if (msp_push(&port->msp, byte))
 		return msp_port_answer(port, status, reply, capacity);
-	if (outside && msp_idle(&port->msp) && port->services && port->services->command_line)
+	if (outside && msp_idle(&port->msp))
 		return msp_port_open(port, byte, reply, capacity);
 	return 0;
 }

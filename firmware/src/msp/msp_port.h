@@ -1,6 +1,5 @@
 /* A port: the line of one MSP peer, and what belongs to that peer. Bytes in, reply bytes out; knows no device. */
-#ifndef NF_MSP_PORT_H
-#define NF_MSP_PORT_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -9,27 +8,23 @@
 #include "command_line/command_line.h"
 #include "common/status.h"
 #include "msp/msp.h"
-#include "msp/msp_peer.h"
-#include "port/board_identity.h"
-
-struct msp_services;
+#include "msp/msp_request.h"
 
 /* Bytes that wait while a session of the command line speaks. */
 #define MSP_PORT_HOLDS 128u
 
 struct msp_port {
-	const struct board_identity *identity;
-	const struct msp_services *services; /* NULL: only commands that read are served */
+	const struct services *services;
 	struct msp msp;                      /* the request being read */
 	struct msp_peer peer;
-	struct command_line command_line;    /* of a port with services that have one */
+	struct command_line command_line;
 	uint8_t hidden;                      /* bytes of what may be a request, at the start of a line */
 	uint8_t held_from, held; /* bytes that wait for the command line: the first's place, and how many */
 	uint8_t holds[MSP_PORT_HOLDS];
 };
 
-/* `identity` and `services` must outlive the port. */
-void msp_port_init(struct msp_port *port, const struct board_identity *identity, const struct msp_services *services);
+/* `services` must outlive the port. */
+void msp_port_init(struct msp_port *port, const struct services *services);
 
 /* The peer has gone, or a new one is there: nothing of the last one's is left. */
 void msp_port_reset(struct msp_port *port);
@@ -54,5 +49,3 @@ bool msp_port_busy(const struct msp_port *port);
  * Outside of requests, bytes may open the command line; a whole request ends its session. */
 size_t msp_port_serve(struct msp_port *port, const struct firmware_status *status, const uint8_t *bytes, size_t count,
 		      uint8_t *reply, size_t capacity);
-
-#endif

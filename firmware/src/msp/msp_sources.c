@@ -1,4 +1,4 @@
-#include "msp/msp_sources.h"
+#include "msp/msp_configure.h"
 
 #include <stddef.h>
 
@@ -83,13 +83,10 @@ static const struct beep {
 static uint32_t sources_beepers(const struct nf_settings *s)
 {
 	uint32_t off = BEEPERS_ALL & ~BEEPER_OF_SWITCH;
-	union setting_value on;
 
-	for (size_t i = 0; i < sizeof beeps / sizeof beeps[0]; ++i) {
-		settings_get(s, beeps[i].setting, &on);
-		if (on.as_uint32_t)
+	for (size_t i = 0; i < sizeof beeps / sizeof beeps[0]; ++i)
+		if (settings_whole(s, beeps[i].setting))
 			off &= ~BIT(beeps[i].bit);
-	}
 	return off;
 }
 
@@ -115,9 +112,9 @@ static uint32_t sources_voltage(const struct nf_settings *s, unsigned part)
 	return (uint32_t)(parts[part] + 0.5f);
 }
 
-enum nf_refusal msp_source_set_voltage(const struct msp_view *view, const uint8_t parts[3])
+enum nf_refusal msp_source_set_voltage(const struct msp_request *q, const uint8_t parts[3])
 {
-	struct nf_settings *s = view->settings;
+	struct nf_settings *s = q->settings;
 	bool same = true;
 
 	for (unsigned part = 0; part < 3; ++part)
@@ -139,10 +136,9 @@ static float sources_rate_gain(const struct nf_settings *s, unsigned which)
 
 static uint32_t sources_rate(const struct nf_settings *s, unsigned which)
 {
-	union setting_value value;
+	const float rate = settings_number(s, SETTING_AT_roll_rate + which);
 
-	settings_get(s, SETTING_AT_roll_rate + which, &value);
-	return (uint32_t)(limit(value.as_float * sources_rate_gain(s, which), 0.0f, UINT8_MAX) + 0.5f);
+	return (uint32_t)(limit(rate * sources_rate_gain(s, which), 0.0f, UINT8_MAX) + 0.5f);
 }
 
 static enum nf_refusal sources_set_rate(struct nf_settings *s, unsigned which, uint32_t value)
@@ -170,21 +166,20 @@ static float sources_pid_built_in(const struct pid_gains *pid, unsigned which)
 				       gains[term][axis] * ((float)NF_MSP_PID_SUM * NF_RAD_PER_DEG / scales[term]);
 }
 
-static uint32_t sources_pid(const struct msp_view *view, unsigned which)
+static uint32_t sources_pid(const struct msp_request *q, unsigned which)
 {
-	union setting_value factor;
+	const float factor = settings_number(q->settings, SETTING_AT_pid_roll_p + which);
 
-	settings_get(view->settings, SETTING_AT_pid_roll_p + which, &factor);
-	return (uint32_t)(limit(sources_pid_built_in(view->pid, which) * factor.as_float, 0.0f, UINT8_MAX) + 0.5f);
+	return (uint32_t)(limit(sources_pid_built_in(q->services->pid, which) * factor, 0.0f, UINT8_MAX) + 0.5f);
 }
 
-static enum nf_refusal sources_set_pid(const struct msp_view *view, unsigned which, uint32_t value)
+static enum nf_refusal sources_set_pid(const struct msp_request *q, unsigned which, uint32_t value)
 {
-	const float built_in = sources_pid_built_in(view->pid, which);
+	const float built_in = sources_pid_built_in(q->services->pid, which);
 
 	if (!(built_in > 0.0f))
 		return NF_REFUSAL_PAYLOAD;
-	return settings_set_number(view->settings, SETTING_AT_pid_roll_p + which, (float)value / built_in);
+	return settings_set_number(q->settings, SETTING_AT_pid_roll_p + which, (float)value / built_in);
 }
 
 /* Cutoff of a low-pass from its gain, by Newton's method: gain = 1 - exp(-x). */
@@ -224,12 +219,9 @@ struct stage {
 static struct stage sources_stage(const struct nf_settings *s, unsigned number)
 {
 	const unsigned index = SETTING_AT_filter1_kind + STAGE_ROWS * number;
-	union setting_value kind, hz, q;
 
-	settings_get(s, index, &kind);
-	settings_get(s, index + STAGE_HZ, &hz);
-	settings_get(s, index + STAGE_Q, &q);
-	return (struct stage){ index, kind.as_uint32_t, hz.as_float, q.as_float };
+	return (struct stage){ index, settings_whole(s, index), settings_number(s, index + STAGE_HZ),
+			       settings_number(s, index + STAGE_Q) };
 }
 
 bool msp_filters_fit(const struct nf_settings *s)
@@ -346,9 +338,9 @@ static uint32_t sources_gyro_hardware(unsigned identity)
 }
 
 /* --- All of them ------------------------------------------------------------------------------------------ */
-uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, unsigned argument)
+uint32_t msp_source_get(const struct msp_request *q, enum nf_msp_source source, unsigned argument)
 {
-	const struct nf_settings *s = view->settings;
+	const struct nf_settings *s = q->settings;
 
 	switch (source) {
 	case NF_MSP_SOURCE_FEATURES:
@@ -358,9 +350,9 @@ uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, 
 	case NF_MSP_SOURCE_MOTOR_COUNT:
 		return POLICY_ACTION_COUNT;
 	case NF_MSP_SOURCE_PROCESS_DENOMINATOR:
-		return view->status->gyro_rate_hz / POLICY_CONTROL_RATE_HZ;
+		return q->status->gyro_rate_hz / POLICY_CONTROL_RATE_HZ;
 	case NF_MSP_SOURCE_IDLE:
-		return (uint32_t)(limit(view->status->idle, 0.0f, 1.0f) * 10000.0f + 0.5f);
+		return (uint32_t)(limit(q->status->idle, 0.0f, 1.0f) * 10000.0f + 0.5f);
 	case NF_MSP_SOURCE_SMALL_ANGLE:
 		return sources_small_angle(s);
 	case NF_MSP_SOURCE_PROVIDER:
@@ -370,7 +362,7 @@ uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, 
 	case NF_MSP_SOURCE_RATE:
 		return sources_rate(s, argument);
 	case NF_MSP_SOURCE_PID:
-		return sources_pid(view, argument);
+		return sources_pid(q, argument);
 	case NF_MSP_SOURCE_LOWPASS_HZ:
 	case NF_MSP_SOURCE_NOTCH_HZ:
 		return sources_stage_hz(s, argument);
@@ -379,11 +371,12 @@ uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, 
 	case NF_MSP_SOURCE_NOTCH_CUTOFF:
 		return sources_notch_cutoff(s, argument);
 	case NF_MSP_SOURCE_D_LOWPASS_HZ:
-		return sources_d_lowpass(view->pid);
+		return sources_d_lowpass(q->services->pid);
 	case NF_MSP_SOURCE_TPA_RATE:
-		return sources_tpa_rate(view->pid);
+		return sources_tpa_rate(q->services->pid);
 	case NF_MSP_SOURCE_TPA_BREAKPOINT:
-		return NF_CHANNEL_MIN_US + (uint32_t)(limit(view->pid->tpa_breakpoint, 0.0f, 1.0f) * 1000.0f + 0.5f);
+		return NF_CHANNEL_MIN_US +
+		       (uint32_t)(limit(q->services->pid->tpa_breakpoint, 0.0f, 1.0f) * 1000.0f + 0.5f);
 	case NF_MSP_SOURCE_BEEPERS:
 		return sources_beepers(s);
 	case NF_MSP_SOURCE_DIVIDER:
@@ -395,27 +388,27 @@ uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, 
 	case NF_MSP_SOURCE_LOG_FIELDS_OFF:
 		return s->blackbox_disabled_mask & FIELDS_OFF_KNOWN;
 	case NF_MSP_SOURCE_LOG_CARD:
-		return msp_log_card(view->blackbox, argument);
+		return msp_log_card(q->services->blackbox, argument);
 	case NF_MSP_SOURCE_GYRO_HARDWARE:
-		return sources_gyro_hardware(view->status->gyro_identity);
+		return sources_gyro_hardware(q->status->gyro_identity);
 	}
 	return 0;
 }
 
 /* Read-only values: the app multiplies some by 0.01 and truncates what a binary fraction cannot represent. */
-static enum nf_refusal sources_refuse(const struct msp_view *view, enum nf_msp_source source, unsigned argument,
+static enum nf_refusal sources_refuse(const struct msp_request *q, enum nf_msp_source source, unsigned argument,
 				      uint32_t value)
 {
-	return value + 1u == msp_source_get(view, source, argument) && value > 0 &&
+	return value + 1u == msp_source_get(q, source, argument) && value > 0 &&
 			       (source == NF_MSP_SOURCE_IDLE || source == NF_MSP_SOURCE_TPA_RATE) ?
 		       NF_REFUSAL_NONE :
 		       NF_REFUSAL_PAYLOAD;
 }
 
-enum nf_refusal msp_source_set(const struct msp_view *view, enum nf_msp_source source, unsigned argument,
+enum nf_refusal msp_source_set(const struct msp_request *q, enum nf_msp_source source, unsigned argument,
 			       uint32_t value)
 {
-	struct nf_settings *s = view->settings;
+	struct nf_settings *s = q->settings;
 
 	switch (source) {
 	case NF_MSP_SOURCE_FEATURES:
@@ -429,7 +422,7 @@ enum nf_refusal msp_source_set(const struct msp_view *view, enum nf_msp_source s
 	case NF_MSP_SOURCE_RATE:
 		return sources_set_rate(s, argument, value);
 	case NF_MSP_SOURCE_PID:
-		return sources_set_pid(view, argument, value);
+		return sources_set_pid(q, argument, value);
 	case NF_MSP_SOURCE_LOWPASS_HZ:
 		return sources_set_stage_hz(s, argument, value, NF_FILTER_PT1);
 	case NF_MSP_SOURCE_NOTCH_HZ:
@@ -447,6 +440,6 @@ enum nf_refusal msp_source_set(const struct msp_view *view, enum nf_msp_source s
 	case NF_MSP_SOURCE_LOG_FIELDS_OFF:
 		return sources_set_fields_off(s, value);
 	default:
-		return sources_refuse(view, source, argument, value);
+		return sources_refuse(q, source, argument, value);
 	}
 }

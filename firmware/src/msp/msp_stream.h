@@ -1,6 +1,5 @@
 /* Streaming telemetry: records of control steps, sent to a peer unsolicited at the granted rate. */
-#ifndef NF_MSP_STREAM_H
-#define NF_MSP_STREAM_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -27,5 +26,3 @@ bool msp_stream_due(const struct msp_stream *stream, uint32_t step);
  * not fit into `capacity`: then it is dropped whole. */
 size_t msp_stream_write(struct msp_stream *stream, const struct control_record *record, uint8_t *frame,
 			size_t capacity);
-
-#endif

@@ -1,6 +1,5 @@
 /* Identity of a board for MSP peers. */
-#ifndef NF_BOARD_IDENTITY_H
-#define NF_BOARD_IDENTITY_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -14,5 +13,3 @@ struct board_identity {
 	bool osd_chip;           /* a MAX7456 is on the board; this firmware leaves it alone */
 	uint32_t unique_id[3];
 };
-
-#endif

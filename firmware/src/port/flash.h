@@ -1,10 +1,5 @@
 /* Flash as the core's storage sees it: hal.h's, or a model of it. Addresses and sectors are the contract's. */
-#ifndef NF_FLASH_H
-#define NF_FLASH_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -31,5 +26,3 @@ struct flash {
 const uint8_t *flash_at(const struct flash *flash, uint32_t address);
 bool flash_erase(const struct flash *flash, unsigned sector);
 bool flash_program(const struct flash *flash, uint32_t address, const void *words, size_t bytes);
-
-#endif

@@ -2,19 +2,19 @@
  * touches a register or a socket. main.c starts and runs the chip; the core calls it through a struct hal.
  *
  * Order of life: hal_init, hal_run. hal_run owns the program: it calls the handlers until the end. */
-#ifndef NF_HAL_H
-#define NF_HAL_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "port/board_identity.h"
 #include "port/flash.h"
 #include "port/imu.h"
 #include "port/log_device.h"
-#include "port/power_sample.h"
+
+/* The board's measurement of the battery; the pilot's settings scale it. */
+struct power_sample {
+	uint16_t volts_mv, amps_mv; /* at the pins */
+	bool valid;
+};
 
 struct control_trace;
 struct setting_change;
@@ -129,5 +129,3 @@ int hal_refuse(enum nf_err why);
 /* The record of a fault before this boot, if there was one. hal_fault_clear deletes it. */
 bool hal_fault_take(struct fault_record *record);
 void hal_fault_clear(void);
-
-#endif

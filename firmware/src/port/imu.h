@@ -1,6 +1,5 @@
 /* Gyro chips: which one, how it is mounted, and one sample of it. */
-#ifndef NF_IMU_H
-#define NF_IMU_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -32,5 +31,3 @@ struct imu_sample {
 	bool valid;          /* the transfer succeeded and no number is NaN */
 	uint16_t lost; /* samples that the chip had before this one and that were not taken, since the last one */
 };
-
-#endif

@@ -2,12 +2,7 @@
  * that the settings name.
  *
  * All functions are called from the background and never wait: what takes longer goes on in `step`. */
-#ifndef NF_LOG_DEVICE_H
-#define NF_LOG_DEVICE_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -55,5 +50,3 @@ struct log_device {
 	/* Makes all files empty again. */
 	enum log_answer (*erase)(void *context);
 };
-
-#endif

@@ -1,8 +1,5 @@
 /* Channels as receivers pack them. */
-#ifndef NF_CHANNELS_H
-#define NF_CHANNELS_H
-
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -11,5 +8,3 @@
 /* Unpacks 16 values of 11 bits, least significant bit first, to 880..2159 us: 880 + (5 value + 4) / 8 in
  * integers. 992 is 1500 us; 172 and 1811, the ends of most transmitters, are 988 and 2012 us. */
 void channels_unpack(const uint8_t packed[CHANNELS_PACKED_BYTES], uint16_t channels_us[NF_CHANNEL_COUNT]);
-
-#endif

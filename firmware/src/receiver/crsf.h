@@ -2,12 +2,7 @@
  *
  * A frame is sync, length, type, payload, CRC-8/DVB-S2 over type and payload; the length counts from the type to the
  * CRC. Two types are used here, the others are skipped. */
-#ifndef NF_CRSF_H
-#define NF_CRSF_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -39,5 +34,3 @@ size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count);
  * first byte, as bytes that only seemed to begin a frame may be followed by whole ones. When a paused call returns
  * false, nothing is left. */
 bool crsf_take(struct crsf *crsf, bool paused, struct crsf_frame *frame);
-
-#endif

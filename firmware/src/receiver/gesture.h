@@ -1,10 +1,6 @@
 /* Gesture: the sticks by which a pilot in the field says "I know": both down and apart (mode 2), that is throttle low,
  * yaw full left, pitch full back, roll full right. It does not arm anything here or in Betaflight. */
-#ifndef NF_GESTURE_H
-#define NF_GESTURE_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -20,5 +16,3 @@ void gesture_init(struct gesture *gesture);
  * good receiver; otherwise sticks are ignored. Returns true once, when the gesture has been held for NF_GESTURE_MS;
  * it must be released before it counts again. */
 bool gesture_step(struct gesture *gesture, const uint16_t channels_us[NF_CHANNEL_COUNT], bool allowed, uint32_t ms);
-
-#endif

@@ -1,6 +1,5 @@
 /* Link quality: the share of frames that arrived in the last second. */
-#ifndef NF_LINK_QUALITY_H
-#define NF_LINK_QUALITY_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -38,5 +37,3 @@ void link_quality_tick(struct link_quality *quality);
 
 /* 0..100 %, 0 before the first tenth of a second with frames. */
 unsigned link_quality_percent(const struct link_quality *quality);
-
-#endif

@@ -1,6 +1,5 @@
 #include "receiver/modes.h"
 
-#include <stddef.h>
 #include <string.h>
 
 _Static_assert(MODE_COUNT <= 8, "a bit each in struct modes_range");

@@ -1,8 +1,5 @@
 /* Modes: which of them the AUX channels switch on, by the ranges that the settings mode1, mode2, ... have. */
-#ifndef NF_MODES_H
-#define NF_MODES_H
-
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "storage/mode_range.h"
@@ -26,5 +23,3 @@ void modes_init(struct modes *modes, const struct nf_settings *settings);
  * ranges holds, or if it has ranges of the kind "and" and all of these hold. Channels below NF_MODE_LOW_US are in ranges
  * that begin there, those above the last end in ranges that end there; one of NF_CHANNEL_UNTOLD_US is in none. */
 uint32_t modes_on(const struct modes *modes, const uint16_t channels_us[NF_CHANNEL_COUNT]);
-
-#endif

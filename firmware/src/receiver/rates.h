@@ -1,8 +1,5 @@
 /* Rates: receiver channels to setpoint rates and throttle. */
-#ifndef NF_RATES_H
-#define NF_RATES_H
-
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -35,5 +32,3 @@ void rates_setpoint(const struct rates *rates, const uint16_t channels_us[NF_CHA
 
 /* Thrust 0..1. */
 float rates_throttle(const uint16_t channels_us[NF_CHANNEL_COUNT]);
-
-#endif

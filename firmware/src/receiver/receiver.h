@@ -10,12 +10,7 @@
  * A receiver that has lost its transmitter may send on, channels that it repeats or has been taught. What they say counts
  * for nothing, "off" neither: a frame that is flagged is no frame. One that says failsafe holds at once, as if the silence
  * had lasted so long; lost is what has had no good frame for the setting failsafe_delay_ms, flagged frames or none. */
-#ifndef NF_RECEIVER_H
-#define NF_RECEIVER_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "receiver/crsf.h"
@@ -92,5 +87,3 @@ void receiver_channels(const struct receiver *receiver, uint16_t channels_us[NF_
 
 /* 0..100 %: the receiver's own figure if it told one within the last second, else the share of frames. */
 unsigned receiver_quality(const struct receiver *receiver);
-
-#endif

@@ -1,10 +1,5 @@
 /* SBUS and S.BUS2: bytes in, frames out. Survives any bytes. */
-#ifndef NF_SBUS_H
-#define NF_SBUS_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -28,5 +23,3 @@ bool sbus_push(struct sbus *sbus, uint8_t byte, struct sbus_frame *frame);
 
 /* Takes bytes that sbus_push would only keep, because they lie within a frame; returns how many, at most `count`. */
 size_t sbus_fill(struct sbus *sbus, const uint8_t *bytes, size_t count);
-
-#endif

@@ -1,6 +1,5 @@
 /* When the chirp may run. In flash, not in the control path's fast memory: it costs time only while the mode is on. */
-#ifndef NF_CHIRP_INTERLOCK_H
-#define NF_CHIRP_INTERLOCK_H
+#pragma once
 
 #include "control/chirp.h"
 #include "control/control.h"
@@ -11,5 +10,3 @@
  * is heard. To be called while the mode CHIRP is on or the chirp is not idle. */
 void chirp_interlock_step(struct chirp *chirp, const struct control *control, const struct receiver *receiver,
 			  const struct safety *safety, float setpoint[3]);
-
-#endif

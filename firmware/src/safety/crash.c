@@ -1,5 +1,6 @@
 #include "safety/crash.h"
 
+#include "common/limit.h"
 #include "common/nf_math.h"
 
 #define ERROR_LIMIT (NF_CRASH_ERROR_DEG_S * NF_RAD_PER_DEG)
@@ -31,17 +32,12 @@ bool crash_watches(const struct crash *crash)
 	return crash->crash_after > 0;
 }
 
-static float crash_size(float value)
-{
-	return value < 0.0f ? -value : value;
-}
-
 static int crash_furthest(const float setpoint[3], const float rate[3])
 {
 	int axis = 0;
 
 	for (int i = 1; i < 3; ++i)
-		if (crash_size(setpoint[i] - rate[i]) > crash_size(setpoint[axis] - rate[axis]))
+		if (magnitude(setpoint[i] - rate[i]) > magnitude(setpoint[axis] - rate[axis]))
 			axis = i;
 	return axis;
 }
@@ -55,7 +51,7 @@ static bool crash_lasts(uint32_t steps, uint32_t limit)
  * turns about a diagonal. Returns whether that is a runaway. */
 static bool crash_runs_away(struct crash *crash, const struct crash_input *input, int axis, float error)
 {
-	const float rate = input->rate[axis], size = crash_size(rate);
+	const float rate = input->rate[axis], size = magnitude(rate);
 
 	if (rate * error >= 0.0f || turning_towards(input->turning, axis, error) ||
 	    (crash->away > 0 && size <= crash->first_rate)) {
@@ -81,7 +77,7 @@ enum crash_verdict crash_step(struct crash *crash, const struct crash_input *inp
 
 	if ((input->thrust || crash->flown > 0) && crash->flown < crash->window)
 		++crash->flown;
-	if (!(crash_size(error) > ERROR_LIMIT)) {
+	if (!(magnitude(error) > ERROR_LIMIT)) {
 		crash->helpless = 0;
 		crash->away = 0;
 		return CRASH_NONE;

@@ -1,9 +1,5 @@
 /* Crash detection: a rate error that the controller cannot correct. */
-#ifndef NF_CRASH_H
-#define NF_CRASH_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "safety/turning.h"
@@ -45,5 +41,3 @@ struct crash_input {
 /* One control step. The axis with the largest error counts; an error is large above NF_CRASH_ERROR_DEG_S. An axis that turns
  * towards its setpoint, or turns that way as fast as the aircraft can, has not crashed. */
 enum crash_verdict crash_step(struct crash *crash, const struct crash_input *input);
-
-#endif

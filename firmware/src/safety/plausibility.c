@@ -1,5 +1,6 @@
 #include "safety/plausibility.h"
 
+#include "common/limit.h"
 #include "common/nf_math.h"
 #include "policy.h"
 
@@ -74,11 +75,6 @@ static bool plausibility_swings(struct plausibility *p, int i, float error, floa
 	return ++p->swings[i] >= NF_OSCILLATION_SWINGS;
 }
 
-static float plausibility_size(float value)
-{
-	return value < 0.0f ? -value : value;
-}
-
 /* `largest`: the largest error of the three. Beside an axis with more than twice its error one may stray for a while: motors
  * are at their ends then, and a network that was never so far off couples the axes. */
 static enum nf_fallback_cause plausibility_axis(struct plausibility *p, int i, const struct plausibility_input *input,
@@ -86,7 +82,7 @@ static enum nf_fallback_cause plausibility_axis(struct plausibility *p, int i, c
 {
 	const float rate = input->rate[i];
 	const float error = input->setpoint[i] - rate;
-	const float size = plausibility_size(error);
+	const float size = magnitude(error);
 	const bool turns = turning_towards(input->turning, i, error);
 	const bool strays = 2.0f * size >= largest && !turns;
 	const bool unanswered = strays && size > WRONG_WAY_ERROR && input->demand && input->demand[i] * error <= 0.0f;
@@ -115,9 +111,9 @@ enum nf_fallback_cause plausibility_step(struct plausibility *plausibility, cons
 	float largest = 0.0f, seen = 0.0f;
 
 	for (int i = 0; i < 3; ++i) {
-		const float error = input->setpoint[i] - input->rate[i], size = plausibility_size(error);
+		const float error = input->setpoint[i] - input->rate[i], size = magnitude(error);
 		largest = size > largest ? size : largest;
-		seen += plausibility_size(error - plausibility->before[i]);
+		seen += magnitude(error - plausibility->before[i]);
 		plausibility->before[i] = error;
 	}
 	for (int i = 0; i < 3; ++i) {

@@ -1,9 +1,5 @@
 /* Plausibility: does the controller do what its aircraft needs, although all its outputs are legal numbers? */
-#ifndef NF_PLAUSIBILITY_H
-#define NF_PLAUSIBILITY_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "safety/turning.h"
@@ -43,5 +39,3 @@ void plausibility_reset(struct plausibility *plausibility);
 
 /* One control step that flew. Returns what is wrong with the controller, NF_FALLBACK_NONE: nothing. */
 enum nf_fallback_cause plausibility_step(struct plausibility *plausibility, const struct plausibility_input *input);
-
-#endif

@@ -1,7 +1,5 @@
 #include "safety/safety.h"
 
-#include <stddef.h>
-
 _Static_assert(NF_ARMING_REASON_COUNT <= 32, "a bit each");
 #define OWN_REASONS (SAFETY_REASON(SWITCH_NOT_CYCLED) | SAFETY_REASON(CRASHED))
 

@@ -1,9 +1,5 @@
 /* Safety: what the firmware is doing, and when the motors may turn. The one place that decides it. */
-#ifndef NF_SAFETY_H
-#define NF_SAFETY_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -57,5 +53,3 @@ bool safety_descending(const struct safety *safety);
 
 /* Those that hold, `reasons`, as shown to the pilot: with safety's own, and none at all while motors may turn. */
 uint32_t safety_reasons(const struct safety *safety, uint32_t reasons);
-
-#endif

@@ -2,11 +2,7 @@
  *
  * Once airborne it is so until the next arming: with a closed throttle, one that has landed and one that hovers on its idle
  * are the same to gyro and accelerometer. */
-#ifndef NF_TAKEOFF_H
-#define NF_TAKEOFF_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -26,5 +22,3 @@ void takeoff_reset(struct takeoff *takeoff);
 
 /* One control step with motors that may turn, until it is airborne. rate: [rad/s], body axes; throttle: 0..1. */
 void takeoff_step(struct takeoff *takeoff, const float rate[3], float throttle);
-
-#endif

@@ -1,8 +1,5 @@
 /* Turning: how fast each axis changes its rate, for those who ask whether it turns towards its setpoint. */
-#ifndef NF_TURNING_H
-#define NF_TURNING_H
-
-#include <stdbool.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -27,5 +24,3 @@ bool turning_towards(const struct turning *turning, int axis, float error);
 /* Does an axis already turn the way that its setpoint asks, only not as fast? An aircraft that is not turning towards its
  * setpoint any more has then reached what it can. */
 bool turning_at_limit(float rate, float error);
-
-#endif

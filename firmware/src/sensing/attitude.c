@@ -135,14 +135,6 @@ void attitude_up(const struct attitude *attitude, float up[3])
 	up[2] = q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3];
 }
 
-float attitude_tilt_deg(const struct attitude *attitude)
-{
-	float up[3];
-
-	attitude_up(attitude, up);
-	return NF_DEG_PER_RAD * nf_atan2(__builtin_sqrtf(up[0] * up[0] + up[1] * up[1]), up[2]);
-}
-
 void attitude_euler_deg(const struct attitude *attitude, float angles[3])
 {
 	const float *q = attitude->q;

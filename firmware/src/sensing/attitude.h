@@ -2,8 +2,7 @@
  * it. Explicit complementary filter: Mahony, Hamel, Pflimlin, "Nonlinear Complementary Filters on the Special
  * Orthogonal Group", IEEE Transactions on Automatic Control 53 (2008), eq. 48. The heading is not measured: it starts
  * at 0 and drifts. */
-#ifndef NF_ATTITUDE_H
-#define NF_ATTITUDE_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -29,11 +28,6 @@ bool attitude_known(const struct attitude *attitude);
 /* Where up is, body axes, of length 1. */
 void attitude_up(const struct attitude *attitude, float up[3]);
 
-/* Angle between the body's z and up [deg], 0 to 180. */
-float attitude_tilt_deg(const struct attitude *attitude);
-
 /* Roll (right +, -180 to 180), pitch (nose down +, -90 to 90), yaw (left +, -180 to 180) [deg]: turned first by
  * yaw, then by pitch, then by roll. */
 void attitude_euler_deg(const struct attitude *attitude, float angles[3]);
-
-#endif

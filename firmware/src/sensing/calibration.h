@@ -1,6 +1,5 @@
 /* Still calibration: the gyro's mean over a window in which nothing moved. */
-#ifndef NF_CALIBRATION_H
-#define NF_CALIBRATION_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -22,5 +21,3 @@ void calibration_restart(struct calibration *calibration);
  * axis; else returns true, once, with the means [counts]. Either way a new window begins. calm: the limit of the spread is
  * NF_CALIBRATION_CALM_DEG_S, not NF_CALIBRATION_MOTION_DEG_S. */
 bool calibration_step(struct calibration *calibration, const int16_t counts[3], bool calm, float mean[3]);
-
-#endif

@@ -1,7 +1,5 @@
 #include "sensing/dynamic_notch.h"
 
-#include <stdbool.h>
-
 #include "common/limit.h"
 #include "common/nf_math.h"
 

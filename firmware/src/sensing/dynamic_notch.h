@@ -5,10 +5,7 @@
  * 1983), become the notches' centres. Then comes the next axis. Every sample does one step of this: it updates all
  * bins, or reads a third of them, or finds a peak, or places a notch. None costs more than updating the bins, so the
  * cost of a sample is bounded. */
-#ifndef NF_DYNAMIC_NOTCH_H
-#define NF_DYNAMIC_NOTCH_H
-
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "sensing/svf.h"
@@ -39,5 +36,3 @@ void dynamic_notch_init(struct dynamic_notch *d, const struct nf_settings *setti
 
 /* One gyro sample, in place [rad/s]. */
 void dynamic_notch_step(struct dynamic_notch *d, float rate[3]);
-
-#endif

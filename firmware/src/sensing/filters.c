@@ -1,12 +1,14 @@
 #include "sensing/filters.h"
 
-#include <stdbool.h>
-#include <stddef.h>
 #include <string.h>
 
 #include "common/crc32.h"
 #include "common/nf_math.h"
+#include "common/printer.h"
 #include "policy.h"
+
+/* Of the longest list: each number has 10 digits at most, and a stage two of them. */
+#define HASHED_BYTES (NF_FILTER_STAGES * sizeof ",[\"biquad\",4294967295,4294967295]" + 96u)
 
 /* Composition of a kind. `widen`: n low-passes in a row reach 0.707 at f if each does at f widen, 1 / sqrt(2^(1/n) -
  * 1). */
@@ -102,60 +104,40 @@ void filters_step(struct filters *filters, float rate[3])
 	dynamic_notch_step(&filters->dynamic, rate);
 }
 
-/* A JSON text of which only the CRC is computed. */
-static uint32_t filters_text(uint32_t crc, const char *words)
+static unsigned filters_thousandths(float value)
 {
-	for (; *words != '\0'; ++words)
-		crc = crc32_more(crc, words, 1);
-	return crc;
+	return (unsigned)(value * 1000.0f + 0.5f);
 }
 
-static uint32_t filters_number(uint32_t crc, uint32_t value)
-{
-	char digits[10]; /* of 2^32 - 1 */
-	size_t from = sizeof digits;
-
-	do {
-		digits[--from] = (char)('0' + value % 10u);
-		value /= 10u;
-	} while (value > 0);
-	crc = filters_text(crc, ",");
-	return crc32_more(crc, digits + from, sizeof digits - from);
-}
-
-static uint32_t filters_thousandths(uint32_t crc, float value)
-{
-	return filters_number(crc, (uint32_t)(value * 1000.0f + 0.5f));
-}
-
+/* The CRC of the JSON list, with the mean or without it. */
 static uint32_t filters_hash_with(const struct nf_settings *settings, bool mean)
 {
-	uint32_t crc = filters_text(0, "[");
-	const char *between = "[\"";
+	char text[HASHED_BYTES];
+	struct printer out = printer_init(text, sizeof text);
+	const char *between = "";
 
+	printer_say(&out, "[");
 	for (size_t i = 0; i < NF_FILTER_STAGES; ++i) {
 		const struct stage_settings s = filters_stage_settings(settings, i);
 		if (s.kind == NF_FILTER_NONE)
 			continue;
-		crc = filters_text(filters_text(filters_text(crc, between), kinds[s.kind].name), "\"");
-		crc = filters_thousandths(crc, s.hz);
+		printer_say(&out, "%s[\"%s\",%u", between, kinds[s.kind].name, filters_thousandths(s.hz));
 		if (kinds[s.kind].has_q)
-			crc = filters_thousandths(crc, s.q);
-		crc = filters_text(crc, "]");
-		between = ",[\"";
+			printer_say(&out, ",%u", filters_thousandths(s.q));
+		printer_say(&out, "]");
+		between = ",";
 	}
 	if (settings->dynamic_notch_count > 0) {
-		crc = filters_text(filters_text(filters_text(crc, between), "dynamic"), "\"");
-		crc = filters_number(crc, settings->dynamic_notch_count);
-		crc = filters_thousandths(crc, settings->dynamic_notch_low_hz);
-		crc = filters_thousandths(crc, settings->dynamic_notch_high_hz);
-		crc = filters_thousandths(crc, settings->dynamic_notch_q);
-		crc = filters_text(crc, "]");
-		between = ",[\"";
+		printer_say(&out, "%s[\"dynamic\",%u,%u,%u,%u]", between, (unsigned)settings->dynamic_notch_count,
+			    filters_thousandths(settings->dynamic_notch_low_hz),
+			    filters_thousandths(settings->dynamic_notch_high_hz),
+			    filters_thousandths(settings->dynamic_notch_q));
+		between = ",";
 	}
 	if (mean)
-		crc = filters_text(filters_text(filters_text(crc, between), NF_POLICY_FILTER_MEAN), "\"]");
-	return filters_text(crc, "]");
+		printer_say(&out, "%s[\"" NF_POLICY_FILTER_MEAN "\"]", between);
+	printer_say(&out, "]");
+	return crc32_more(0, text, (size_t)(out.at - text));
 }
 
 bool filters_take_mean(const struct nf_settings *settings)

@@ -1,11 +1,7 @@
 /* The gyro's filters: a chain of up to NF_FILTER_STAGES, the same on each axis, then the dynamic notches, then the mean of a
  * control period's samples (gyro_mean.h). Default: the mean where the policy was trained behind it, else none. A policy
  * flies behind the filters that it was trained with, so their hash is part of it. */
-#ifndef NF_FILTERS_H
-#define NF_FILTERS_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "sensing/dynamic_notch.h"
@@ -53,5 +49,3 @@ bool filters_take_mean(const struct nf_settings *settings);
  * and rounded: [["pt1",100000],["notch",180000,3000]]; behind them the notches that follow tones,
  * ["dynamic",count,low,high,quality], and last the mean, ["mean"]. NF_POLICY_FILTERS_NONE for [], no filter. */
 uint32_t filters_hash(const struct nf_settings *settings);
-
-#endif

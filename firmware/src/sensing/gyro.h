@@ -1,9 +1,5 @@
 /* Gyro: chip counts to body rates, calibration at rest, and the health of the samples. */
-#ifndef NF_GYRO_H
-#define NF_GYRO_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "port/imu.h"
@@ -62,5 +58,3 @@ void gyro_acceleration(const struct gyro *gyro, float acceleration[3]);
 
 /* Temperature of the chip at the last good sample [deg C]. */
 float gyro_temperature_c(const struct gyro *gyro, enum gyro_chip chip);
-
-#endif

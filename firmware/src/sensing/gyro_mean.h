@@ -1,9 +1,5 @@
 /* Gyro mean: at a control step, the mean of the last samples instead of the newest alone. */
-#ifndef NF_GYRO_MEAN_H
-#define NF_GYRO_MEAN_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "policy.h"
@@ -27,5 +23,3 @@ void gyro_mean_take(struct gyro_mean *mean, const float rate[3]);
 
 /* The mean [rad/s], oldest first, of samples that were taken; `rate` stays where the mean is off. */
 void gyro_mean_read(const struct gyro_mean *mean, float rate[3]);
-
-#endif

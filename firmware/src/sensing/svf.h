@@ -4,8 +4,7 @@
  * Chosen over the direct forms: in float32 a direct form loses a low cutoff (1 Hz at 8 kHz: a tenth of its gain at
  * DC), this one does not; and its memory keeps its meaning when the coefficients change, as those of a notch that
  * follows a tone do. Source: V. Zavalishin, The Art of VA Filter Design (2012), section 4. */
-#ifndef NF_SVF_H
-#define NF_SVF_H
+#pragma once
 
 struct svf {
 	float gain;  /* tan(pi f / rate); 0: lets everything pass through a notch */
@@ -22,5 +21,3 @@ struct svf svf_at(float gain, float damping);
 /* One sample through the section as a low-pass, and as a notch of the same damping. */
 float svf_low_pass(const struct svf *svf, struct svf_memory *memory, float in);
 float svf_notch(const struct svf *svf, float damping, struct svf_memory *memory, float in);
-
-#endif

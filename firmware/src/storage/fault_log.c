@@ -1,6 +1,5 @@
 #include "storage/fault_log.h"
 
-#include <stddef.h>
 #include <string.h>
 
 #include "common/crc32.h"
@@ -20,6 +19,8 @@ struct entry {
 #define ROOM 8u /* boots, some of which may end before the log can be begun anew */
 _Static_assert(NF_FLASH_FAULT_RECORD_ADDRESS == NF_FLASH_SECTORS_3_ADDRESS, "the sector to erase");
 _Static_assert(sizeof(struct entry) % FLASH_WORD_BYTES == 0, "whole words");
+
+static const struct fault_record nothing = { .kind = FAULT_NONE };
 
 static uint32_t fault_log_address_of(unsigned index)
 {
@@ -80,28 +81,6 @@ static void fault_log_scan(struct fault_log *log, unsigned count)
 	}
 }
 
-void fault_log_boot(struct fault_log *log, const struct flash *flash, const struct fault_record *record)
-{
-	const unsigned index = fault_log_first_blank(flash);
-	struct entry entry = { .magic = FAULT_LOG_MAGIC };
-
-	*log = (struct fault_log){ .flash = flash };
-	fault_log_scan(log, index);
-	entry.boot = ++log->boots;
-	if (record)
-		entry.record = *record;
-	log->crowded = index + ROOM >= ENTRY_COUNT;
-	entry.crc = crc32_more(0, &entry, offsetof(struct entry, crc));
-	log->logged = index < ENTRY_COUNT &&
-		      flash_program(flash, fault_log_address_of(index), &entry, offsetof(struct entry, acknowledged));
-	if (entry.record.kind == FAULT_NONE)
-		return;
-	log->pending = true;
-	log->record = entry.record;
-	log->boot = entry.boot;
-	log->address = log->logged ? fault_log_address_of(index) : 0;
-}
-
 /* Writes what boot number `boot` found as entry number `index`. Returns its address, 0: flash did not take it. */
 static uint32_t fault_log_write(const struct fault_log *log, unsigned index, uint32_t boot,
 				const struct fault_record *record)
@@ -113,9 +92,27 @@ static uint32_t fault_log_write(const struct fault_log *log, unsigned index, uin
 	return flash_program(log->flash, address, &entry, offsetof(struct entry, acknowledged)) ? address : 0;
 }
 
+void fault_log_boot(struct fault_log *log, const struct flash *flash, const struct fault_record *record)
+{
+	const unsigned index = fault_log_first_blank(flash);
+	const struct fault_record found = record ? *record : nothing;
+
+	*log = (struct fault_log){ .flash = flash };
+	fault_log_scan(log, index);
+	++log->boots;
+	log->crowded = index + ROOM >= ENTRY_COUNT;
+	const uint32_t address = index < ENTRY_COUNT ? fault_log_write(log, index, log->boots, &found) : 0;
+	log->logged = address != 0;
+	if (found.kind == FAULT_NONE)
+		return;
+	log->pending = true;
+	log->record = found;
+	log->boot = log->boots;
+	log->address = address;
+}
+
 void fault_log_renew(struct fault_log *log)
 {
-	static const struct fault_record nothing = { .kind = FAULT_NONE };
 	const bool erased = flash_erase(log->flash, FAULT_LOG_SECTOR);
 	unsigned index = 0;
 

@@ -4,11 +4,7 @@
  *
  * A loss of power leaves each entry whole or none. Only when power fails while the log is begun anew, once in some
  * hundred boots, is it lost: boots are then counted anew, and a fault that nobody acknowledged is forgotten. */
-#ifndef NF_FAULT_LOG_H
-#define NF_FAULT_LOG_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "port/flash.h"
@@ -39,5 +35,3 @@ void fault_log_renew(struct fault_log *log);
 /* Acknowledges the fault that boot number `boot` found: it is no longer pending, an earlier one may be. Only while
  * nothing can arm. NF_REFUSAL_INDEX: that is not the pending one. NF_REFUSAL_FLASH: pending it stays. */
 enum nf_refusal fault_log_acknowledge(struct fault_log *log, uint32_t boot);
-
-#endif

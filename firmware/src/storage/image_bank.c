@@ -18,8 +18,6 @@ _Static_assert(NF_FLASH_BANK_A_SIZE == NF_FLASH_BANK_B_SIZE, "BYTES_MAX");
 _Static_assert(NF_FLASH_BANKS_COUNT == IMAGE_BANK_COUNT, "as the contract has it");
 _Static_assert(sizeof(struct nf_image_state) <= NF_IMAGE_TAIL_BYTES, "the state fits");
 
-#define CRC_OFFSET (NF_IMAGE_HEADER_OFFSET + offsetof(struct nf_image_header, crc))
-#define CRC_END (CRC_OFFSET + sizeof(uint32_t))
 #define LEAST_BYTES (NF_IMAGE_HEADER_OFFSET + sizeof(struct nf_image_header))
 
 struct nf_image_header image_bank_header(const struct flash *flash, unsigned bank)
@@ -106,8 +104,8 @@ bool image_bank_whole_behind(const struct flash *flash, unsigned bank, const str
 	const uint8_t *const image = flash_at(flash, image_bank_places[bank].address);
 	uint32_t crc = crc32_more(0, first, count);
 
-	crc = crc32_more(crc, image + count, CRC_OFFSET - count);
-	crc = crc32_more(crc, image + CRC_END, header->image_bytes - CRC_END);
+	crc = crc32_more(crc, image + count, IMAGE_CRC_OFFSET - count);
+	crc = crc32_more(crc, image + IMAGE_CRC_END, header->image_bytes - IMAGE_CRC_END);
 	return crc == header->crc;
 }
 
@@ -128,6 +126,11 @@ static bool image_bank_startable(const struct image_bank_marks *marks)
 static bool image_bank_failed(const struct image_bank_marks *marks)
 {
 	return marks->rejected || (!marks->confirmed && marks->starts >= NF_IMAGE_STARTS_MAX);
+}
+
+bool image_bank_hopeful(const struct image_bank_marks *marks)
+{
+	return image_bank_startable(marks) && !image_bank_failed(marks);
 }
 
 static bool image_bank_newer(const struct image_bank_marks *a, const struct image_bank_marks *b)

@@ -2,12 +2,7 @@
  *
  * Shared by the boot part, which chooses, and the firmware, which writes the bank that it does not run from
  * (storage/image_update.h) and confirms its own. contract/image_format.py has the layout. */
-#ifndef NF_IMAGE_BANK_H
-#define NF_IMAGE_BANK_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "port/flash.h"
@@ -31,6 +26,10 @@ struct image_bank_marks {
 	unsigned starts; /* counted ones */
 };
 
+/* Where the checksum lies in an image; it does not cover itself. */
+#define IMAGE_CRC_OFFSET (NF_IMAGE_HEADER_OFFSET + offsetof(struct nf_image_header, crc))
+#define IMAGE_CRC_END (IMAGE_CRC_OFFSET + sizeof(uint32_t))
+
 struct nf_image_header image_bank_header(const struct flash *flash, unsigned bank);
 struct image_bank_marks image_bank_marks(const struct flash *flash, unsigned bank);
 
@@ -47,6 +46,9 @@ bool image_bank_whole_behind(const struct flash *flash, unsigned bank, const str
 /* Does the bank hold a whole image for this board? */
 bool image_bank_whole(const struct flash *flash, unsigned bank, const char *board);
 
+/* Has the image a number or the ROM's word, and its chances not yet had? */
+bool image_bank_hopeful(const struct image_bank_marks *marks);
+
 /* Which bank to start: the image that the ROM has just installed, else the newer number. One that was rejected, or was started
  * NF_IMAGE_STARTS_MAX times without being confirmed, comes behind the other; an image that was
  * written and never given a number is not started. good[]: may it be started at all? IMAGE_BANK_NONE: none. */
@@ -62,5 +64,3 @@ bool image_bank_reject(const struct flash *flash, unsigned bank);
 /* Gives the bank's image a number newer than the other bank's, so that it is started from now on; one that has a number keeps
  * it. False: flash did not take it. */
 bool image_bank_number(const struct flash *flash, unsigned bank);
-
-#endif

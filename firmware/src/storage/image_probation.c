@@ -5,8 +5,6 @@
 #include "storage/image_bank.h"
 
 #define PIECE_BYTES 8192u /* 0.5 ms at 216 MHz: ten a second check the largest image within 1.6 s */
-#define CRC_OFFSET (NF_IMAGE_HEADER_OFFSET + offsetof(struct nf_image_header, crc))
-#define CRC_END (CRC_OFFSET + sizeof(uint32_t))
 #define STEPS (NF_IMAGE_PROBATION_MS * POLICY_CONTROL_RATE_HZ / 1000u)
 
 void image_probation_init(struct image_probation *probation, const struct flash *flash, unsigned bank)
@@ -24,14 +22,14 @@ void image_probation_init(struct image_probation *probation, const struct flash 
 /* The bytes from `offset` on, as many as fit into a piece, but for the checksum's own. */
 static void image_probation_check(struct image_probation *probation)
 {
-	const size_t end = probation->offset < CRC_OFFSET ? CRC_OFFSET : probation->header.image_bytes;
+	const size_t end = probation->offset < IMAGE_CRC_OFFSET ? IMAGE_CRC_OFFSET : probation->header.image_bytes;
 	const size_t left = end - probation->offset, count = left < PIECE_BYTES ? left : PIECE_BYTES;
 	const uint32_t address = image_bank_places[probation->bank].address + (uint32_t)probation->offset;
 
 	probation->crc = crc32_more(probation->crc, flash_at(probation->flash, address), count);
 	probation->offset += count;
-	if (probation->offset == CRC_OFFSET)
-		probation->offset = CRC_END;
+	if (probation->offset == IMAGE_CRC_OFFSET)
+		probation->offset = IMAGE_CRC_END;
 	if (probation->offset < probation->header.image_bytes)
 		return;
 	probation->checked = true;
@@ -44,9 +42,7 @@ static bool image_probation_replaceable(const struct image_probation *probation)
 	const unsigned other = 1u - probation->bank;
 	const struct image_bank_marks marks = image_bank_marks(probation->flash, other);
 
-	return (marks.installed || marks.numbered) && !marks.rejected &&
-	       (marks.confirmed || marks.starts < NF_IMAGE_STARTS_MAX) &&
-	       image_bank_whole(probation->flash, other, probation->header.board);
+	return image_bank_hopeful(&marks) && image_bank_whole(probation->flash, other, probation->header.board);
 }
 
 enum image_verdict image_probation_step(struct image_probation *probation, const struct image_report *report)

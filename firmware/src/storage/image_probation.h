@@ -11,12 +11,7 @@
  * the ground with the reasons PROBATION and GYRO_BAD, and answers MSP. If it is the image's fault, two more starts
  * bring the old one back, as the boot part counts the starts of an image that was not confirmed; if it is the chip's,
  * the image confirms itself once that is mended. */
-#ifndef NF_IMAGE_PROBATION_H
-#define NF_IMAGE_PROBATION_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "port/flash.h"
@@ -62,5 +57,3 @@ bool image_probation_spoilt(const struct image_probation *probation);
 /* These write flash: nothing can arm meanwhile. False: flash did not take it. */
 bool image_probation_confirm(struct image_probation *probation);
 bool image_probation_reject(const struct image_probation *probation);
-
-#endif

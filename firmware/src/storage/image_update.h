@@ -2,12 +2,7 @@
  *
  * Begin, write in order, end, switch. Until the last word of the switch is written the bank has no number, and the boot
  * part does not start it (storage/image_bank.h). The caller ensures that nothing can arm meanwhile. */
-#ifndef NF_IMAGE_UPDATE_H
-#define NF_IMAGE_UPDATE_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "common/sha256.h"
 #include "nf_contract.h"
@@ -57,5 +52,3 @@ enum nf_refusal image_update_switch(struct image_update *update, const struct po
 /* Do both images count? The spare one is started next, or is the one to go back to should the running one, which has yet to
  * be confirmed, fail. Then each needs its policy, and the slots are left as they are. */
 bool image_update_holds_slots(const struct image_update *update);
-
-#endif

@@ -1,6 +1,5 @@
 /* A range of an AUX channel that switches a mode on, as a setting holds it: ModeRange of toolchain/contract/modes.py. */
-#ifndef NF_MODE_RANGE_H
-#define NF_MODE_RANGE_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -35,5 +34,3 @@ uint32_t mode_range_pack(const struct mode_range *range);
 
 /* Is it a mode of ours on a channel that there is, low not above high, and nothing else in it? */
 bool mode_range_good(uint32_t packed);
-
-#endif

@@ -1,6 +1,5 @@
 #include "storage/policy_blob.h"
 
-#include <stdbool.h>
 #include <string.h>
 
 #include "common/crc32.h"

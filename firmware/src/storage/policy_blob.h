@@ -1,9 +1,5 @@
 /* Policy blob: checks whether this image can fly the bytes of a policy slot. Layout: docs/reference/policy-blob.md. */
-#ifndef NF_POLICY_BLOB_H
-#define NF_POLICY_BLOB_H
-
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -36,5 +32,3 @@ enum nf_err policy_blob_check(const void *bytes, size_t size, const struct polic
 /* The same, as if the first word at `bytes` were `magic`: of a blob whose first word is not written yet. */
 enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t size,
 				     const struct policy_blob_identity *image);
-
-#endif

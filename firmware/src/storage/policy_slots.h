@@ -5,12 +5,7 @@
  * Numbers wrap (common/serial_number.h): whatever number a policy has, another one can follow. A slot's first word is
  * written last, so that one half written is none. A blob may name the build that it came with: no other image flies it.
  * That of the bank which is not run is checked against the image there. */
-#ifndef NF_POLICY_SLOTS_H
-#define NF_POLICY_SLOTS_H
-
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 #include "policy.h"
@@ -98,5 +93,3 @@ enum nf_err policy_slots_info(const struct policy_slots *slots, enum policy_sour
 /* Does a slot hold a policy that the image in the bank which is not run can fly? Its self-test cannot be run here. NF_OK, or why
  * not. Reads all blobs. */
 enum nf_err policy_slots_for_other_bank(const struct policy_slots *slots);
-
-#endif

@@ -1,7 +1,5 @@
 #include "storage/settings.h"
 
-#include <stdbool.h>
-#include <stddef.h>
 #include <string.h>
 
 #include "policy.h"
@@ -91,6 +89,19 @@ void settings_get(const struct nf_settings *settings, unsigned index, union sett
 	memcpy(value, (const uint32_t *)settings + setting->offset, settings_size(setting));
 }
 
+uint32_t settings_whole(const struct nf_settings *settings, unsigned index)
+{
+	return ((const uint32_t *)settings)[table[index].offset];
+}
+
+float settings_number(const struct nf_settings *settings, unsigned index)
+{
+	union setting_value value;
+
+	settings_get(settings, index, &value);
+	return value.as_float;
+}
+
 static void settings_put(struct nf_settings *settings, unsigned index, const union setting_value *value)
 {
 	const struct setting *setting = &table[index];
@@ -98,20 +109,29 @@ static void settings_put(struct nf_settings *settings, unsigned index, const uni
 	memcpy((uint32_t *)settings + setting->offset, value, settings_size(setting));
 }
 
-/* `setting`: that of the index, or what stands in for it beside another style of rates. */
-static void settings_put_default(struct nf_settings *settings, unsigned index, const struct setting *setting)
+/* The default that the setting has beside the others. */
+static void settings_preset(const struct nf_settings *settings, unsigned index, union setting_value *value)
 {
-	union setting_value value;
+	memset(value, 0, sizeof *value);
+	value->as_uint32_t = settings_limits(settings_info_beside(settings, index))->preset.as_uint32_t;
+}
 
-	memset(&value, 0, sizeof value);
-	value.as_uint32_t = settings_limits(setting)->preset.as_uint32_t;
-	settings_put(settings, index, &value);
+bool settings_is_default(const struct nf_settings *settings, unsigned index)
+{
+	union setting_value value, preset;
+
+	settings_preset(settings, index, &preset);
+	settings_get(settings, index, &value);
+	return memcmp(&value, &preset, sizeof value) == 0;
 }
 
 static void settings_put_defaults(struct nf_settings *settings, unsigned first, unsigned last)
 {
-	for (unsigned index = first; index <= last; ++index)
-		settings_put_default(settings, index, settings_info_beside(settings, index));
+	for (unsigned index = first; index <= last; ++index) {
+		union setting_value value;
+		settings_preset(settings, index, &value);
+		settings_put(settings, index, &value);
+	}
 }
 
 void settings_default(struct nf_settings *settings)
@@ -162,11 +182,8 @@ enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const
 		return NF_REFUSAL_RANGE;
 	const uint32_t style = settings->rates_style;
 	settings_put(settings, index, &kept);
-	if (settings->rates_style == style)
-		return NF_REFUSAL_NONE;
-	/* The same numbers mean another thing in another style. */
-	for (unsigned rate = RATES_FIRST; rate <= RATES_LAST; ++rate)
-		settings_put_default(settings, rate, settings_info_beside(settings, rate));
+	if (settings->rates_style != style) /* the same numbers mean another thing in another style */
+		settings_put_defaults(settings, RATES_FIRST, RATES_LAST);
 	return NF_REFUSAL_NONE;
 }
 
@@ -189,47 +206,42 @@ enum nf_refusal settings_set_number(struct nf_settings *settings, unsigned index
 }
 
 /* --- What settings may not be together -------------------------------------------------------------- */
-static bool settings_is_one_of(const struct nf_settings *settings, unsigned index, const uint32_t known[], size_t count)
+static bool settings_is_one_of(uint32_t value, const uint32_t known[], size_t count)
 {
-	union setting_value value;
-
-	settings_get(settings, index, &value);
 	for (size_t i = 0; i < count; ++i)
-		if (known[i] == value.as_uint32_t)
+		if (known[i] == value)
 			return true;
 	return false;
 }
+#define IS_ONE_OF(value, known) settings_is_one_of(value, known, sizeof(known) / sizeof(known)[0])
 
 static bool settings_msp_baud_fits(const struct nf_settings *settings, unsigned first)
 {
 	static const uint32_t known[] = NF_MSP_BAUDS;
 
-	return settings_is_one_of(settings, first, known, sizeof known / sizeof known[0]);
+	return IS_ONE_OF(settings_whole(settings, first), known);
 }
 
 static bool settings_log_baud_fits(const struct nf_settings *settings, unsigned first)
 {
 	static const uint32_t known[] = NF_LOG_BAUDS;
 
-	return settings_is_one_of(settings, first, known, sizeof known / sizeof known[0]);
+	return IS_ONE_OF(settings_whole(settings, first), known);
 }
 
 static bool settings_log_divider_fits(const struct nf_settings *settings, unsigned first)
 {
 	static const uint32_t known[] = NF_LOG_DIVIDERS;
 
-	return settings_is_one_of(settings, first, known, sizeof known / sizeof known[0]);
+	return IS_ONE_OF(settings_whole(settings, first), known);
 }
 
 static bool settings_gyro_rate_fits(const struct nf_settings *settings, unsigned first)
 {
 	static const uint32_t known[] = NF_GYRO_RATES_HZ;
+	const uint32_t rate_hz = settings_whole(settings, first);
 
-	(void)first;
-	for (size_t i = 0; i < sizeof known / sizeof known[0]; ++i)
-		if (known[i] == settings->gyro_rate_hz)
-			return known[i] % POLICY_CONTROL_RATE_HZ == 0;
-	return false;
+	return IS_ONE_OF(rate_hz, known) && rate_hz % POLICY_CONTROL_RATE_HZ == 0;
 }
 
 /* Does `hz` lie below half the gyro rate, above which a filter of samples has no meaning? */
@@ -241,16 +253,12 @@ static bool settings_below_nyquist(const struct nf_settings *settings, float hz)
 /* `first`: the kind of a stage, behind which its frequency stands. */
 static bool settings_filter_fits(const struct nf_settings *settings, unsigned first)
 {
-	union setting_value kind, hz;
-
-	settings_get(settings, first, &kind);
-	settings_get(settings, first + 1, &hz);
-	return kind.as_uint32_t == NF_FILTER_NONE || settings_below_nyquist(settings, hz.as_float);
+	return settings_whole(settings, first) == NF_FILTER_NONE ||
+	       settings_below_nyquist(settings, settings_number(settings, first + 1));
 }
 
 static bool settings_dynamic_notch_fits(const struct nf_settings *settings, unsigned first)
 {
-	(void)first;
 	return settings->dynamic_notch_low_hz < settings->dynamic_notch_high_hz &&
 	       (settings->dynamic_notch_count == 0 ||
 		settings_below_nyquist(settings, settings->dynamic_notch_high_hz));
@@ -284,13 +292,9 @@ static float settings_filter_delay_s(const struct nf_settings *settings)
 	float delay_s = (float)settings->dynamic_notch_count /
 			(TURN * settings->dynamic_notch_low_hz * settings->dynamic_notch_q);
 
-	for (unsigned stage = SETTING_AT_filter1_kind; stage < SETTING_AT_dynamic_notch_count; stage += 3) {
-		union setting_value kind, hz, q;
-		settings_get(settings, stage, &kind);
-		settings_get(settings, stage + 1, &hz);
-		settings_get(settings, stage + 2, &q);
-		delay_s += settings_slowness(kind.as_uint32_t, q.as_float) / (TURN * hz.as_float);
-	}
+	for (unsigned stage = SETTING_AT_filter1_kind; stage < SETTING_AT_dynamic_notch_count; stage += 3)
+		delay_s += settings_slowness(settings_whole(settings, stage), settings_number(settings, stage + 2)) /
+			   (TURN * settings_number(settings, stage + 1));
 	if (settings->gyro_mean == NF_GYRO_MEAN_ON) /* its samples are half of its span old, on average */
 		delay_s += 0.5f / (float)POLICY_CONTROL_RATE_HZ - 0.5f / (float)settings->gyro_rate_hz;
 	return delay_s;
@@ -299,7 +303,6 @@ static float settings_filter_delay_s(const struct nf_settings *settings)
 /* Returns whether the filter chain is fast enough for the standby PID. */
 static bool settings_filter_delay_fits(const struct nf_settings *settings, unsigned first)
 {
-	(void)first;
 	return settings_filter_delay_s(settings) <= 0.001f * NF_FILTER_DELAY_MAX_MS;
 }
 
@@ -308,11 +311,8 @@ static bool settings_pid_fits(const struct nf_settings *settings, unsigned first
 {
 	bool built_in = true;
 
-	for (unsigned index = first; index <= SETTING_AT_pid_yaw_d; ++index) {
-		union setting_value factor;
-		settings_get(settings, index, &factor);
-		built_in &= factor.as_float == 1.0f;
-	}
+	for (unsigned index = first; index <= SETTING_AT_pid_yaw_d; ++index)
+		built_in &= settings_number(settings, index) == 1.0f;
 	return built_in || settings_filter_delay_s(settings) <= 0.001f * NF_PID_FACTOR_FILTER_DELAY_MAX_MS;
 }
 _Static_assert(SETTING_AT_dynamic_notch_count - SETTING_AT_filter1_kind == 3 * NF_FILTER_STAGES, "three each");
@@ -324,9 +324,7 @@ static bool settings_map_fits(const struct nf_settings *settings, unsigned first
 
 	_Static_assert(NF_CHANNEL_MAPPED_COUNT <= 32, "a bit each");
 	for (unsigned index = first; index <= SETTING_AT_map_aux4; ++index) {
-		union setting_value channel;
-		settings_get(settings, index, &channel);
-		const uint32_t bit = 1u << channel.as_uint32_t;
+		const uint32_t bit = 1u << settings_whole(settings, index);
 		if (met & bit)
 			return false;
 		met |= bit;
@@ -336,7 +334,6 @@ static bool settings_map_fits(const struct nf_settings *settings, unsigned first
 
 static bool settings_rates_fit(const struct nf_settings *settings, unsigned first)
 {
-	(void)first;
 	for (unsigned index = RATES_FIRST; index <= RATES_LAST; ++index) {
 		union setting_value rate;
 		settings_get(settings, index, &rate);
@@ -357,26 +354,20 @@ float settings_rc_rate(float rate)
  * is the rounding of numbers that pilots know with two decimals. */
 static bool settings_full_stick_fits(const struct nf_settings *settings, unsigned first)
 {
-	union setting_value rate, super;
-
 	if (settings->rates_style != NF_RATES_STYLE_BETAFLIGHT)
 		return true; /* each number has its limit */
-	settings_get(settings, first, &rate);
-	settings_get(settings, first + 1, &super);
-	const float room = 1.0f - super.as_float;
-	return NF_RC_RATE_DEG_S * settings_rc_rate(rate.as_float) <=
+	const float room = 1.0f - settings_number(settings, first + 1);
+	return NF_RC_RATE_DEG_S * settings_rc_rate(settings_number(settings, first)) <=
 	       (NF_RATE_MAX_DEG_S + 0.5f) * (room > NF_SUPER_ROOM_MIN ? room : NF_SUPER_ROOM_MIN);
 }
 
 static bool settings_battery_fits(const struct nf_settings *settings, unsigned first)
 {
-	(void)first;
 	return settings->battery_low_v < settings->battery_warn_v;
 }
 
 static bool settings_failsafe_fits(const struct nf_settings *settings, unsigned first)
 {
-	(void)first;
 	return settings->failsafe_hold_ms < settings->failsafe_delay_ms;
 }
 
@@ -385,11 +376,8 @@ static bool settings_outputs_fit(const struct nf_settings *settings, unsigned fi
 {
 	uint32_t met = 0;
 
-	for (unsigned motor = 0; motor < POLICY_ACTION_COUNT; ++motor) {
-		union setting_value output;
-		settings_get(settings, first + motor, &output);
-		met |= 1u << (output.as_uint32_t - 1u);
-	}
+	for (unsigned motor = 0; motor < POLICY_ACTION_COUNT; ++motor)
+		met |= 1u << (settings_whole(settings, first + motor) - 1u);
 	return met == (1u << POLICY_ACTION_COUNT) - 1u;
 }
 

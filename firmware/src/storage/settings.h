@@ -1,9 +1,5 @@
 /* Settings (contract: SETTINGS): limits, defaults, and checks of combinations. */
-#ifndef NF_SETTINGS_H
-#define NF_SETTINGS_H
-
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -78,6 +74,13 @@ size_t settings_size(const struct setting *setting);
 /* Value of the setting `index` < NF_SETTING_COUNT, of the kind that settings_info tells; zeros behind its bytes. */
 void settings_get(const struct nf_settings *settings, unsigned index, union setting_value *value);
 
+/* That value of a whole number, a choice or a mode, and of a float. */
+uint32_t settings_whole(const struct nf_settings *settings, unsigned index);
+float settings_number(const struct nf_settings *settings, unsigned index);
+
+/* Is it at the default that it has beside the others? Bit by bit. */
+bool settings_is_default(const struct nf_settings *settings, unsigned index);
+
 /* Changes one setting; another style of rates sets all rates to the defaults of that style. NF_REFUSAL_INDEX: there is
  * none of that index. NF_REFUSAL_RANGE: beyond the limits that it has beside the others, or no number. A value that is
  * refused changes nothing. Combinations are checked by settings_conflict. */
@@ -99,5 +102,3 @@ void settings_mend(struct nf_settings *settings);
 /* Sets the settings that settings_conflict finds to their values in `before`, or to their defaults (NULL). They may
  * still conflict afterwards, for instance old rates with a new style. */
 void settings_undo(struct nf_settings *settings, const struct nf_settings *before);
-
-#endif

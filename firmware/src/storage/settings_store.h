@@ -1,9 +1,6 @@
 /* Settings in flash: two sectors, written alternately, so that a loss of power at any moment leaves the old or the
  * new set, never a mix. */
-#ifndef NF_SETTINGS_STORE_H
-#define NF_SETTINGS_STORE_H
-
-#include <stdbool.h>
+#pragma once
 
 #include "port/flash.h"
 #include "storage/settings.h"
@@ -23,5 +20,3 @@ enum settings_loaded settings_load(struct nf_settings *settings, const struct fl
 /* Writes `settings` as the newest set, over the older one. Waits for the flash. NF_REFUSAL_CONFLICT: settings_conflict
  * finds a conflict. NF_REFUSAL_FLASH: flash did not take it, the set from before is still the newest. */
 enum nf_refusal settings_save(const struct nf_settings *settings, const struct flash *flash);
-
-#endif

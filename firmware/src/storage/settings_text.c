@@ -1,14 +1,11 @@
 #include "storage/settings_text.h"
 
-#include <stdbool.h>
-#include <stdint.h>
 #include <string.h>
 
 #include "common/decimal.h"
 #include "nf_contract.h"
 #include "storage/mode_range.h"
 
-_Static_assert(SETTINGS_TEXT_BYTES >= DECIMAL_BYTES, "a float");
 _Static_assert(SETTINGS_TEXT_BYTES > sizeof "blackbox aux12 1700 2100 and", "a mode range");
 _Static_assert(SETTINGS_TEXT_BYTES > NF_SETTING_TEXT_BYTES + 2, "a text in quotes");
 
@@ -247,104 +244,59 @@ enum settings_text_error settings_text_parse(const struct setting *setting, cons
 	return error;
 }
 
-/* A text in the making. */
-struct ink {
-	char *at;
-};
-
-static void settings_text_put(struct ink *ink, const char *text, size_t length, bool lower)
-{
-	for (size_t i = 0; i < length; ++i)
-		*ink->at++ = lower ? settings_text_lower(text[i]) : text[i];
-}
-
-static void settings_text_put_whole(struct ink *ink, uint32_t value)
-{
-	char digits[10];
-	size_t count = 0;
-
-	do
-		digits[count++] = (char)('0' + value % 10u);
-	while ((value /= 10u) != 0);
-	while (count > 0)
-		*ink->at++ = digits[--count];
-}
-
-static void settings_text_put_choice(struct ink *ink, const char *choices, uint32_t value)
-{
-	while (value-- > 0)
-		choices = settings_text_choice_after(choices);
-	settings_text_put(ink, choices, settings_text_choice_length(choices), false);
-}
-
-static uint32_t settings_text_us(uint32_t step)
-{
-	return NF_MODE_LOW_US + step * NF_MODE_STEP_US;
-}
-
-static void settings_text_put_mode(struct ink *ink, uint32_t packed)
+static void settings_text_print_mode(struct printer *out, uint32_t packed)
 {
 	const struct mode_range range = mode_range_unpack(packed);
 
 	if (packed == 0) {
-		settings_text_put(ink, "none", 4, false);
+		printer_say(out, "none");
 		return;
 	}
 	for (size_t i = 0; i < sizeof modes / sizeof modes[0]; ++i)
-		if (modes[i].mode == range.mode)
-			settings_text_put(ink, modes[i].name, settings_text_name_length(modes[i].name), true);
-	settings_text_put(ink, " aux", 4, false);
-	settings_text_put_whole(ink, range.aux + 1u);
-	settings_text_put(ink, " ", 1, false);
-	settings_text_put_whole(ink, settings_text_us(range.low));
-	settings_text_put(ink, " ", 1, false);
-	settings_text_put_whole(ink, settings_text_us(range.high));
-	if (range.and_others)
-		settings_text_put(ink, " and", 4, false);
+		for (size_t k = 0; modes[i].mode == range.mode && k < settings_text_name_length(modes[i].name); ++k)
+			printer_say(out, "%c", settings_text_lower(modes[i].name[k]));
+	printer_say(out, " aux%u %u %u%s", range.aux + 1u, NF_MODE_LOW_US + range.low * NF_MODE_STEP_US,
+		    NF_MODE_LOW_US + range.high * NF_MODE_STEP_US, range.and_others ? " and" : "");
 }
 
-static void settings_text_put_text(struct ink *ink, const char text[NF_SETTING_TEXT_BYTES])
+static void settings_text_print_text(struct printer *out, const char text[NF_SETTING_TEXT_BYTES])
 {
-	size_t length = 0;
+	int length = 0;
 
 	while (length < NF_SETTING_TEXT_BYTES && text[length] != '\0')
 		++length;
 	const bool quoted = length > 0 && (text[0] == ' ' || text[0] == QUOTE || text[length - 1] == ' ' ||
 					   (length == 1 && text[0] == NO_TEXT));
 	if (length == 0)
-		*ink->at++ = NO_TEXT;
-	if (quoted)
-		*ink->at++ = QUOTE;
-	settings_text_put(ink, text, length, false);
-	if (quoted)
-		*ink->at++ = QUOTE;
+		printer_say(out, "%c", NO_TEXT);
+	else
+		printer_say(out, quoted ? "\"%.*s\"" : "%.*s", length, text);
 }
 
-size_t settings_text_format(const struct setting *setting, const union setting_value *value,
-			    char text[SETTINGS_TEXT_BYTES])
+void settings_text_print(struct printer *out, const struct setting *setting, const union setting_value *value)
 {
-	struct ink ink = { text };
+	const char *choices = settings_choices(setting);
 
 	switch ((enum setting_kind)setting->kind) {
 	case SETTING_text:
-		settings_text_put_text(&ink, value->as_text);
+		settings_text_print_text(out, value->as_text);
 		break;
 	case SETTING_float:
-		ink.at += decimal_format(value->as_float, text);
+		printer_float(out, value->as_float);
 		/* 1 is written as 1.0, so that a ratio is not mistaken for a percentage. */
 		if (value->as_float == 1.0f)
-			settings_text_put(&ink, ".0", 2, false);
+			printer_say(out, ".0");
 		break;
 	case SETTING_mode:
-		settings_text_put_mode(&ink, value->as_mode);
+		settings_text_print_mode(out, value->as_mode);
 		break;
 	case SETTING_uint32_t:
+		for (uint32_t before = value->as_uint32_t; before > 0 && choices[0] != '\0'; --before)
+			choices = settings_text_choice_after(choices);
 		if (settings_choices(setting)[0] != '\0')
-			settings_text_put_choice(&ink, settings_choices(setting), value->as_uint32_t);
+			printer_say(out, "%.*s", (int)settings_text_choice_length(choices), choices);
 		else
-			settings_text_put_whole(&ink, value->as_uint32_t);
+			printer_say(out, "%u", (unsigned)value->as_uint32_t);
 		break;
 	}
-	*ink.at = '\0';
-	return (size_t)(ink.at - text);
 }

@@ -1,9 +1,7 @@
 /* A setting's value as people write it, and back, exactly. */
-#ifndef NF_SETTINGS_TEXT_H
-#define NF_SETTINGS_TEXT_H
+#pragma once
 
-#include <stddef.h>
-
+#include "common/printer.h"
 #include "storage/settings.h"
 
 #define SETTINGS_TEXT_BYTES 32 /* of the longest value, its end included */
@@ -23,15 +21,12 @@ enum settings_text_error {
 	SETTINGS_TEXT_MODE_ORDER,  /* the low end is above the high one */
 };
 
-/* Writes a value of `setting`: a choice by name; a float with the fewest digits that read back; a mode range as
+/* Prints a value of `setting`: a choice by name; a float with the fewest digits that read back; a mode range as
  * `arm aux1 1700 2100`, ` and` behind it or not, none: 0; a text as it is, `-` for none, in quotes where it would read
- * as another otherwise. Returns the characters before the 0 that ends them. */
-size_t settings_text_format(const struct setting *setting, const union setting_value *value,
-			    char text[SETTINGS_TEXT_BYTES]);
+ * as another otherwise. Takes less than SETTINGS_TEXT_BYTES. */
+void settings_text_print(struct printer *out, const struct setting *setting, const union setting_value *value);
 
 /* Reads one. Names count whatever their case; a choice may be told by its number, too. Beyond what its form says a value
  * is not checked: settings_set does. An error leaves *value as it is. */
 enum settings_text_error settings_text_parse(const struct setting *setting, const char *text,
 					     union setting_value *value);
-
-#endif

@@ -1,7 +1,6 @@
 /* MATEKF722: which pin does what, and which timer, UART and DMA stream is behind it. Names of gpio.h, registers.h,
  * clock.h and dma.h: whoever uses one of these includes what it is made of. */
-#ifndef MATEKF722_BOARD_H
-#define MATEKF722_BOARD_H
+#pragma once
 
 #define BOARD_ID "S7X2" /* what configurators know F72x boards by */
 #define BOARD_TARGET "MATEKF722"
@@ -79,5 +78,3 @@
 #define BOARD_RECEIVER_AF 7u
 #define BOARD_RECEIVER_RX ((struct pin){ GPIOA, 3 })
 #define BOARD_RECEIVER_DMA_RX ((struct dma_stream){ DMA1, 5, 4 })
-
-#endif

@@ -1,14 +1,14 @@
 """The emulated core: memory, time, exceptions and what peripherals need of them. `c/` does the work.
 
-`Engine` is the `Context` and the `Bus` of `sim.board.core.context`. Time advances by `cpi` cycles of the
-core for each executed instruction, by 12, 10 and 6 cycles for entry, return and tail-chaining of an
-exception, and by WFI to the next event. The same image, peripherals and calls give the same run to the bit.
+Time advances by `cpi` cycles of the core for each executed instruction, by 12, 10 and 6 cycles for entry,
+return and tail-chaining of an exception, and by WFI to the next event. The same image, peripherals and calls
+give the same run to the bit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from fractions import Fraction
 from pathlib import Path
@@ -81,29 +81,24 @@ class Note:
 
 
 class Alarm:
-    """One of the engine's alarms."""
+    """A callback at a set time. Snapshots keep it by its name."""
 
-    def __init__(self, engine: Engine, number: int, name: str) -> None:
-        self._engine, self._number, self.name = engine, number, name
-
-    @property
-    def number(self) -> int:
-        """Its number in C."""
-        return self._number
+    def __init__(self, engine: Engine, number: int) -> None:
+        """Wrap the alarm that C knows by `number`."""
+        self._engine, self.number = engine, number
 
     @property
     def due(self) -> int | None:
         """Cycle of the callback; None: not set."""
-        due = int(self._engine.library.engine_due(self._engine.handle, self._number))
+        due = int(self._engine.library.engine_due(self._engine.handle, self.number))
         return None if due == NEVER else due
 
     def set(self, cycle: int) -> None:
-        """Call back at `cycle`; at once after this instruction if that has passed."""
-        self._engine.library.engine_set_alarm(self._engine.handle, self._number, max(cycle, 0))
+        """Call back at `cycle`, instead of any time set before; at once after this instruction if passed."""
+        self._engine.library.engine_set_alarm(self._engine.handle, self.number, max(cycle, 0))
 
     def cancel(self) -> None:
-        """Cancel the callback."""
-        self._engine.library.engine_set_alarm(self._engine.handle, self._number, NEVER)
+        self._engine.library.engine_set_alarm(self._engine.handle, self.number, NEVER)
 
 
 class Engine:
@@ -160,7 +155,7 @@ class Engine:
         self._closed = False
         self.callbacks = self._make_callbacks()
         self.library.engine_callbacks(self.handle, self.callbacks)
-        self.poke(FLASH_BASE, flash)
+        self.set_memory(FLASH_BASE, flash)
         self._reset("power")
 
     def __del__(self) -> None:
@@ -189,7 +184,8 @@ class Engine:
         if outcome is Outcome.RESET:
             self._reset(self._cause or "software")
         elif outcome is Outcome.FAILED:
-            self._raise()
+            message = self.ffi.string(self.library.engine_message(self.handle)).decode()
+            raise self._error or BoardError(f"{message}; {self.place()}")
         return outcome
 
     def power_cycle(self) -> None:
@@ -205,7 +201,7 @@ class Engine:
         self.resets.append(cause)
         if cause == "power":
             for address, size in RAM:
-                self.poke(address, bytes([POWER_UP]) * size)
+                self.set_memory(address, bytes([POWER_UP]) * size)
         self.library.engine_reset(self.handle, self.vectors)
         for listener in self._reset_listeners:
             listener(cause)
@@ -215,14 +211,6 @@ class Engine:
     def forget_failure(self) -> None:
         """Clear a failure, after the state before it has been restored."""
         self._error, self._cause = None, ""
-
-    def _raise(self) -> NoReturn:
-        if self._error is not None:
-            raise self._error
-        raise BoardError(self._placed(self.ffi.string(self.library.engine_message(self.handle)).decode()))
-
-    def _placed(self, message: str) -> str:
-        return f"{message}; {self.place()}"
 
     def place(self, address: int | None = None) -> str:
         """Describe `address`, or the program's place."""
@@ -256,7 +244,6 @@ class Engine:
         return value
 
     def set_register(self, number: int, value: int) -> None:
-        """Set a register by the same numbers."""
         if number == 15:
             self.pc = value
             return
@@ -267,27 +254,27 @@ class Engine:
     @property
     def depth(self) -> int:
         """Number of active exceptions; 0: the thread runs."""
-        return int(self.library.engine_depth(self.handle))
+        return int(self.library.engine_counts(self.handle).depth)
 
     @property
     def instructions(self) -> int:
         """Executed so far, those skipped under a condition included."""
-        return int(self.library.engine_instructions(self.handle))
+        return int(self.library.engine_counts(self.handle).instructions)
 
     @property
     def accesses(self) -> int:
         """To peripherals so far."""
-        return int(self.library.engine_accesses(self.handle))
+        return int(self.library.engine_counts(self.handle).accesses)
 
     @property
     def trace_hash(self) -> int:
         """Hash of all jumps, exceptions and their times so far: equal runs have equal hashes."""
-        return int(self.library.engine_hash(self.handle))
+        return int(self.library.engine_counts(self.handle).hash)
 
     @property
     def sleeping(self) -> bool:
         """True in WFI."""
-        return bool(self.library.engine_sleeping(self.handle))
+        return bool(self.library.engine_counts(self.handle).sleeping)
 
     def clock(self, on: bool = True) -> None:
         """Begin or stop measuring how this computer's time is spent."""
@@ -339,10 +326,13 @@ class Engine:
         """Let the next instruction run, once, in spite of break- and watchpoints on it."""
         self.library.engine_skip_breakpoint(self.handle)
 
-    # ---- Bus ----
+    # ---- for peripherals, from their constructors on ----
 
     def attach(self, base: int, size: int, peripheral: Peripheral, name: str) -> None:
-        """Attach `peripheral` at `base` to `base + size - 1`, both 1 KiB aligned."""
+        """Attach `peripheral` at `base` to `base + size - 1`, both 1 KiB aligned. `name`: "USART1".
+
+        Raises ValueError if the place is taken.
+        """
         number = self.library.engine_attach(self.handle, base, size)
         if number < 0:
             raise ValueError(
@@ -353,42 +343,47 @@ class Engine:
         self._reads.append(peripheral.read)
         self._writes.append(peripheral.write)
 
-    # ---- Context ----
-
     @property
     def cycle(self) -> int:
-        """The time now, in cycles of 216 MHz."""
+        """Present time, in cycles of 216 MHz; inside an access: the time of that access."""
         return int(self.library.engine_cycle(self.handle))
 
     def alarm(self, name: str, callback: Callable[[], None]) -> Alarm:
-        """Create an alarm, not yet set."""
+        """Create an alarm, not yet set. `name` is unique on the board ("usart1.tx"). Call this in the
+        constructor.
+
+        At one cycle alarms go off in the order of their creation.
+        """
         if name in self.alarms:
             raise ValueError(f"two alarms named {name}")
         number = self.library.engine_new_alarm(self.handle)
         if number < 0:
             raise ValueError(f"no room for the alarm {name}")
-        self.alarms[name] = Alarm(self, number, name)
+        self.alarms[name] = Alarm(self, number)
         self._rings.append(callback)
         return self.alarms[name]
 
     def irq(self, number: int, asserted: bool) -> None:
-        """Set the level of an interrupt line."""
+        """Set the level of interrupt line `number` (0..103, as in the vendor's table).
+
+        Keep it asserted as long as flag and enable are; the handler runs again if it leaves them so.
+        """
         self.library.engine_irq(self.handle, number, asserted)
 
     def nmi(self) -> None:
-        """Raise the non-maskable interrupt."""
+        """Raise the non-maskable interrupt (clock security system)."""
         self.library.engine_nmi(self.handle)
 
     def load(self, address: int, size: int) -> int:
-        """Read as a bus master."""
+        """Read as a bus master (DMA) from `address`: memory or, of 1, 2 or 4 bytes, a peripheral."""
         return int(self.library.engine_load(self.handle, address, size))
 
     def store(self, address: int, size: int, value: int) -> None:
-        """Write as a bus master."""
+        """Write as a bus master: to RAM or a peripheral. Fails for flash and unused addresses."""
         self.library.engine_store(self.handle, address, size, value)
 
     def memory(self, address: int, size: int) -> bytes:
-        """Return bytes of flash, RAM or system memory. Raises ValueError for unused addresses."""
+        """Return bytes of flash, RAM or system memory, without side effect. Raises ValueError elsewhere."""
         return bytes(self.view(address, size))
 
     def view(self, address: int, size: int) -> memoryview:
@@ -399,107 +394,91 @@ class Engine:
         return memoryview(self.ffi.buffer(found, size))
 
     def set_memory(self, address: int, data: bytes) -> None:
-        """Change flash, RAM or system memory. Raises ValueError where nothing is."""
-        self.poke(address, data)
+        """Change flash (as its controller does), RAM or system memory; translated code of it is dropped.
 
-    def poke(self, address: int, data: bytes) -> None:
-        """Change memory as `set_memory` does."""
+        Raises ValueError where nothing is.
+        """
         if self.library.engine_poke(self.handle, address, bytes(data), len(data)):
             raise ValueError(f"{len(data)} bytes at 0x{address:08X}: no memory")
 
     def is_cached(self, address: int) -> bool:
-        """Return True if the data cache covers `address`."""
+        """Return True if the data cache is on and the MPU lets it hold `address`: DMA must not use it."""
         return bool(self.library.engine_cached(self.handle, address))
 
     def core_clock(self, hz: int) -> None:
-        """Run the core at `hz` from now on."""
+        """Run the core (and DWT, SysTick) at `hz` from now on. After reset: 16 MHz."""
         if not 0 < hz <= 432_000_000:
             raise ValueError(f"a core clock of {hz} Hz, expected up to 432 MHz")
         self.library.engine_core_clock(self.handle, hz)
 
     def flash_busy(self, until: int | None) -> None:
-        """Let fetches from flash wait until then."""
+        """Mark the flash bank as busy until cycle `until` (None: no longer): fetches from it stall."""
         self.library.engine_flash_busy(self.handle, 0 if until is None else until)
 
     def system_reset(self, cause: str) -> None:
-        """Reset the chip after this instruction."""
+        """Reset the chip after this instruction. `cause`: "software", "iwdg", "pin", "power"."""
         self._cause = self._cause or cause
         self.library.engine_want_reset(self.handle)
 
     def on_system_reset(self, callback: Callable[[str], None]) -> None:
-        """Tell `callback` of every reset and its cause."""
+        """Call `callback(cause)` at every reset before peripherals reset; RCC keeps the cause for its CSR."""
         self._reset_listeners.append(callback)
 
     def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
-        """Set the callback for the program's stores into flash."""
+        """Call `callback(address, size, value)` for what the program stores into flash (0x08000000 on).
+
+        It changes flash by `set_memory` or not at all. Without a callback such a store is a fault.
+        """
         self._flash_store = callback
 
     def note(self, message: str) -> None:
-        """Add a note to the report."""
-        old = self.notes.get(message)
-        if old is None:
-            self.notes[message] = Note(message, self.cycle, self.place(), 1)
-        else:
-            self.notes[message] = Note(message, old.cycle, old.place, old.times + 1)
+        """Add to the report, with cycle and place; the program continues. Equal messages are counted."""
+        first = self.notes.get(message) or Note(message, self.cycle, self.place(), 0)
+        self.notes[message] = replace(first, times=first.times + 1)
 
     def fail(self, message: str) -> NoReturn:
-        """Raise BoardError with the place."""
-        raise BoardError(self._placed(message))
+        """Raise BoardError: `message` and the place. `message` names what, got and expected."""
+        raise BoardError(f"{message}; {self.place()}")
 
-    # ---- errors of callbacks: nothing unwinds through C ----
-
-    def raise_later(self, error: BaseException) -> None:
-        """Raise `error` when the core has come to a stop."""
-        if self._error is None:
-            self._error = error
-        self.library.engine_fail(self.handle)
+    # ---- errors of callbacks ----
 
     def raise_now(self) -> None:
-        """Raise what `raise_later` was given outside a run."""
+        """Raise what a callback raised outside a run."""
         error, self._error = self._error, None
         if error is not None:
             raise error
 
     # ---- what C calls ----
 
+    def guarded(self, function: Callable[..., Any], failed: Any = None) -> Callable[..., Any]:  # noqa: ANN401
+        """Wrap `function` for C, into which nothing may unwind: C gets `failed` where it raises an error."""
+
+        def call(*arguments: Any) -> Any:  # noqa: ANN401
+            try:
+                return function(*arguments)
+            except BaseException as error:  # raised when the core has come to a stop
+                self._error = self._error or error
+                self.library.engine_fail(self.handle)
+                return failed
+
+        return call
+
     def _make_callbacks(self) -> Any:  # noqa: ANN401 - struct callbacks
-        """Create the callbacks for C; the engine keeps them alive, and they never unwind into C."""
+        """Create the callbacks for C; the engine keeps them alive."""
         reads, writes, rings = self._reads, self._writes, self._rings
 
-        def read(user: object, window: int, offset: int, size: int) -> int:
-            try:
-                return reads[window](offset, size)
-            except BaseException as error:
-                self.raise_later(error)
-                return 0
+        def flash(_: object, address: int, size: int, value: int) -> None:
+            if self._flash_store is None:
+                self.fail(f"a store of 0x{value:X} ({size} bytes) to flash at 0x{address:08X}")
+            self._flash_store(address, size, value & (1 << 8 * size) - 1)
 
-        def write(user: object, window: int, offset: int, size: int, value: int) -> None:
-            try:
-                writes[window](offset, size, value)
-            except BaseException as error:
-                self.raise_later(error)
-
-        def ring(user: object, alarm: int) -> None:
-            try:
-                rings[alarm]()
-            except BaseException as error:
-                self.raise_later(error)
-
-        def flash(user: object, address: int, size: int, value: int) -> None:
-            try:
-                if self._flash_store is None:
-                    self.fail(f"a store of 0x{value:X} ({size} bytes) to flash at 0x{address:08X}")
-                self._flash_store(address, size, value & (1 << 8 * size) - 1)
-            except BaseException as error:
-                self.raise_later(error)
-
-        def rom(user: object) -> None:
-            try:
-                self.on_rom()
-            except BaseException as error:
-                self.raise_later(error)
-
-        functions = {"read": read, "write": write, "alarm": ring, "flash": flash, "rom": rom}
+        functions = {
+            "read": self.guarded(lambda _, window, *access: reads[window](*access), failed=0),
+            "write": self.guarded(lambda _, window, *access: writes[window](*access)),
+            "alarm": self.guarded(lambda _, alarm: rings[alarm]()),
+            "flash": self.guarded(flash),
+            "rom": self.guarded(lambda _: self.on_rom()),
+        }
         self._kept = {name: self.ffi.callback(f"{name}_callback", f) for name, f in functions.items()}
         return self.ffi.new("struct callbacks *", self._kept)
 

@@ -13,6 +13,7 @@ from neuroflight.sim.compiled import CACHE, Library
 from neuroflight.toolchain.errors import BuildError
 
 CORE = Path(__file__).parent / "c"
+BASE = CORE / "base"  # what all others include, and what Python calls
 
 
 @cache
@@ -21,7 +22,7 @@ def load_library(*parts: Path, folder: Path = CACHE) -> Library:
 
     Built into `folder` unless it is there. Raises BuildError, one line.
     """
-    return compiled.load(_source((CORE, *parts)), folder)
+    return compiled.load(_source((BASE, *parts)), folder)
 
 
 def _source(parts: tuple[Path, ...]) -> compiled.Source:
@@ -35,6 +36,7 @@ def _source(parts: tuple[Path, ...]) -> compiled.Source:
         name="engine",
         what="the emulated board's engine",
         parts=parts,
+        files=tuple(sorted(file for file in CORE.glob("*/*.[ch]") if file.parent != BASE)),
         includes=(header.parents[1],),
         linked=(shared,),
         versions=(unicorn.__version__,),

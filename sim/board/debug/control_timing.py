@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.engine import CODE_HALFWORDS, Outcome, code_row, row_address
 from neuroflight.sim.board.debug.profile import code_counts, task_counts
-from neuroflight.sim.board.debug.variables import read_variables
+from neuroflight.sim.board.debug.variables import Variable, read_variables
 from neuroflight.toolchain.contract import Task
 from neuroflight.toolchain.cortex_m7.cycles import Priced, Route, RouteCost, price_routes
 from neuroflight.toolchain.cortex_m7.disassembly import Instruction
@@ -69,9 +70,7 @@ class TaskCost:
     times: int
     routes: int  # distinct ones
     instructions: tuple[int, int]  # fewest and most
-    cycles: (
-        tuple[float, float] | None
-    )  # likewise, predicted, accesses of devices included; None without a model
+    cycles: tuple[float, float] | None  # likewise, predicted, with accesses of devices; None without a model
     accesses: tuple[int, int]  # to registers of peripherals, fewest and most
     spread: tuple[tuple[float, int], ...] = ()  # cycles (no model: instructions), and how many runs took them
 
@@ -107,8 +106,7 @@ class _Call:
     controller: str = ""
 
 
-@dataclass(frozen=True)
-class _Key:
+class _Key(NamedTuple):
     """The properties that distinguish two runs."""
 
     places: bytes  # in `_Code.rows` at which the number of executions changes
@@ -172,7 +170,7 @@ class ControlMeter:
 
     def _stop(self) -> None:
         engine = self._engine
-        pc, depth = engine.pc, engine.library.engine_depth(engine.handle)
+        pc, depth = engine.pc, engine.depth
         if not self._handlers:  # the image has put its vectors in their place by now
             self._handlers = self._read_vectors()
         # A handler is over when its exception is, also where another follows without a return in between.
@@ -206,8 +204,7 @@ class ControlMeter:
         self._engine.skip_breakpoint()
 
     def _begin(self, name: str, return_to: int, depth: int) -> None:
-        counts, instructions, accesses = self._now()
-        self._open.append(_Call(name, return_to, depth, counts, instructions, accesses, self._read_steps()))
+        self._open.append(_Call(name, return_to, depth, *self._now(), self._read_steps()))
 
     def _close(self, call: _Call) -> None:
         counts, instructions, accesses = self._now()
@@ -221,13 +218,11 @@ class ControlMeter:
                 outer.instructions += instructions
                 outer.accesses += accesses
             return
-        armed = bool(np.frombuffer(self._engine.memory(self._armed.address, self._armed.size), "?")[0])
         if call.name in CONTROLLERS:
             kind = Kind(Work.ALGORITHM, True, CONTROLLERS[call.name])
-        elif self._read_steps() != call.steps:
-            kind = Kind(Work.TASK, armed, call.controller)
         else:
-            kind = Kind(Work.SAMPLE, armed, call.controller)
+            work = Work.SAMPLE if self._read_steps() == call.steps else Work.TASK
+            kind = Kind(work, bool(self._read(self._armed)), call.controller)
         places = np.flatnonzero(counts)
         key = _Key(places.tobytes(), counts[places].tobytes(), instructions, accesses)
         self._runs.setdefault(kind, Counter())[key] += 1
@@ -239,10 +234,13 @@ class ControlMeter:
         return counts, self._engine.instructions, self._engine.accesses
 
     def _read_steps(self) -> int:
-        return int.from_bytes(self._engine.memory(self._steps.address, self._steps.size), "little")
+        return self._read(self._steps)
+
+    def _read(self, variable: Variable) -> int:
+        return int.from_bytes(self._engine.memory(variable.address, variable.size), "little")
 
     def _route(self, key: _Key) -> Route:
-        route = self._code.route(np.frombuffer(key.places, np.int64), np.frombuffer(key.changes, np.int64))
+        route = frozenset(self._code.runs(*(np.frombuffer(part, np.int64) for part in key[:2])))
         counted = sum(times * self._code.instructions(start, size) for (start, size), times in route)
         if counted != key.instructions:
             raise BuildError(
@@ -283,11 +281,8 @@ class _Code:
         assert row is not None
         return int(self._starts[row + size // 2] - self._starts[row])
 
-    def route(self, places: NDArray[np.int64], changes: Counts) -> Route:
-        """Return runs of code and how often each was executed."""
-        return frozenset(self._runs(places, changes))
-
-    def _runs(self, places: NDArray[np.int64], changes: Counts) -> Iterator[tuple[tuple[int, int], int]]:
+    def runs(self, places: NDArray[np.int64], changes: Counts) -> Iterator[tuple[tuple[int, int], int]]:
+        """Yield runs of code and how often each was executed."""
         times = 0
         for place, after, change in zip(places, (*places[1:], places[-1]), changes, strict=True):
             times += int(change)

@@ -26,26 +26,23 @@ NOWHERE = 0x60000000  # external memory, which this board has none of
 
 
 @dataclass(frozen=True)
+class Value:
+    """The limits of a fault's VALUE, and what it is where none is given."""
+
+    default: float
+    low: float
+    high: float
+    whole: bool = False
+
+
+@dataclass(frozen=True)
 class FaultKind:
     """A kind of fault."""
 
-    meaning: str
-    value: str = ""  # what VALUE is; "": there is none
-    default: float = 0.0
-    low: float = 0.0
-    high: float = 0.0
-    whole: bool = False
+    value: Value | None = None  # None: there is none
     begin: Callable[[Board, float], None] = lambda board, value: None
     end: Callable[[Board], None] | None = None  # after VALUE seconds, where it is a time
     of_card: bool = False  # of the SD card, which the firmware flies on without
-
-
-def _silence(board: Board, silent: bool) -> None:
-    board.hardware.gyro.silent = silent
-
-
-def _bit_errors(board: Board, rate: float) -> None:
-    board.hardware.spi.bit_error_rate = rate
 
 
 def _cut(board: Board, number: float) -> None:
@@ -66,11 +63,11 @@ def _overload(board: Board, seconds: float) -> None:
         return  # the loop is there already
     rounds = round(seconds * TIME_HZ / (2 * CPI))
     loop = (0x4A02, 0x3A01, 0xD1FD, 0x4A02, 0x4710, 0xBF00)  # ldr r2; subs r2, #1; bne; ldr r2; bx r2; nop
-    engine.poke(stub, struct.pack("<6H2I", *loop, rounds, function))
-    engine.poke(table + 4 * calls.index(function), struct.pack("<I", stub | 1))
+    engine.set_memory(stub, struct.pack("<6H2I", *loop, rounds, function))
+    engine.set_memory(table + 4 * calls.index(function), struct.pack("<I", stub | 1))
 
 
-def _stop_timer(board: Board) -> None:
+def _stop_timer(board: Board, _: float) -> None:
     """Stop TIM8: it sends DMA no more requests, so that the stream of motors 1 to 4 never ends."""
     block = load_table().blocks["TIM8"]
     address = block.base + block.registers["CR1"].offset
@@ -81,126 +78,43 @@ def _card(fault: CardFault) -> Callable[[Board, float], None]:
     return lambda board, value: board.hardware.card_slot.strike(fault, value)
 
 
-def _hang(board: Board) -> None:
+def _hang(board: Board, _: float) -> None:
     """Let the core loop with interrupts masked, behind the code in ITCM."""
     stub = board.symbols["itcm_end"] + 3 & ~3
-    board.engine.poke(stub, struct.pack("<2H", 0xB672, 0xE7FE))  # cpsid i; b .
+    board.engine.set_memory(stub, struct.pack("<2H", 0xB672, 0xE7FE))  # cpsid i; b .
     board.engine.pc = stub
 
 
-def _fault(board: Board) -> None:
-    """Let the core jump to an address without memory."""
-    board.engine.pc = NOWHERE
-
-
+_SECONDS = Value(math.inf, 0.0001, SECONDS_MAX)  # by default for good
 FAULTS = {
     "gyro-silent": FaultKind(
-        "the gyro chip gives no samples any more",
-        "for so many seconds; default: for good",
-        math.inf,
-        0.0001,
-        SECONDS_MAX,
-        begin=lambda board, value: _silence(board, True),
-        end=lambda board: _silence(board, False),
+        _SECONDS,
+        lambda board, value: setattr(board.hardware.gyro, "silent", True),
+        lambda board: setattr(board.hardware.gyro, "silent", False),
     ),
-    "spi-bit-errors": FaultKind(
-        "bits that the board reads from the gyro chip are turned over",
-        "that share of them; default 0.001",
-        0.001,
-        1e-9,
-        1.0,
-        begin=_bit_errors,
+    "spi-bit-errors": FaultKind(  # share of the bits
+        Value(0.001, 1e-9, 1.0), lambda board, rate: setattr(board.hardware.spi, "bit_error_rate", rate)
     ),
-    "brown-out": FaultKind(
-        "the supply dips: processor and gyro chip start anew", begin=lambda board, value: board.brown_out()
-    ),
-    "reset": FaultKind(
-        "the reset line is pulled: the processor starts anew",
-        begin=lambda board, value: board.engine.system_reset("pin"),
-    ),
-    "flash-cut": FaultKind(
-        "the power goes in the middle of a flash operation, and comes back",
-        "which one, counted from then on; default 1, the next",
-        1,
-        1,
-        1_000_000,
-        whole=True,
-        begin=_cut,
-    ),
-    "crystal": FaultKind("the crystal stops", begin=lambda board, value: board.hardware.rcc.fail_crystal()),
-    "hang": FaultKind(
-        "the program hangs: the watchdog resets the board", begin=lambda board, value: _hang(board)
-    ),
-    "processor-fault": FaultKind(
-        "the program jumps to nowhere: a processor fault", begin=lambda board, value: _fault(board)
-    ),
-    "motors-stuck": FaultKind(
-        "the timer that sends frames to motors 1 to 4 stops",
-        begin=lambda board, value: _stop_timer(board),
-    ),
-    "overload": FaultKind(
-        "each control step takes longer, until a reset",
-        "by so many seconds; default 0.0006",
-        0.0006,
-        1e-6,
-        0.1,
-        begin=_overload,
-    ),
-    "card-stall": FaultKind(
-        "the SD card takes longer for what it does, or does next",
-        "by so many seconds; default 0.5",
-        0.5,
-        0.0001,
-        SECONDS_MAX,
-        begin=_card(CardFault.STALL),
-        of_card=True,
-    ),
+    "brown-out": FaultKind(begin=lambda board, _: board.brown_out()),
+    "reset": FaultKind(begin=lambda board, _: board.engine.system_reset("pin")),
+    "flash-cut": FaultKind(Value(1, 1, 1_000_000, whole=True), _cut),  # number of the operation from then on
+    "crystal": FaultKind(begin=lambda board, _: board.hardware.rcc.fail_crystal()),
+    "hang": FaultKind(begin=_hang),
+    "processor-fault": FaultKind(begin=lambda board, _: setattr(board.engine, "pc", NOWHERE)),
+    "motors-stuck": FaultKind(begin=_stop_timer),
+    "overload": FaultKind(Value(0.0006, 1e-6, 0.1), _overload),  # seconds
+    "card-stall": FaultKind(Value(0.5, 0.0001, SECONDS_MAX), _card(CardFault.STALL), of_card=True),
     "card-removed": FaultKind(
-        "the SD card is pulled",
-        "for so many seconds; default: for good",
-        math.inf,
-        0.0001,
-        SECONDS_MAX,
-        begin=_card(CardFault.REMOVED),
-        end=lambda board: board.hardware.card_slot.strike(CardFault.INSERTED),
+        _SECONDS,
+        _card(CardFault.REMOVED),
+        lambda board: board.hardware.card_slot.strike(CardFault.INSERTED),
         of_card=True,
     ),
-    "card-errors": FaultKind(
-        "a bit of a command or block turns over between processor and SD card",
-        "in that share of them; default 0.01",
-        0.01,
-        1e-9,
-        1.0,
-        begin=_card(CardFault.ERRORS),
-        of_card=True,
-    ),
-    "card-worn": FaultKind(
-        "the SD card is worn: every block that is written is a write error",
-        "but so many first; default 0",
-        0,
-        0,
-        1e9,
-        whole=True,
-        begin=_card(CardFault.WORN),
-        of_card=True,
-    ),
-    "card-slow": FaultKind(
-        "all that the SD card does takes longer",
-        "so many times; default 10",
-        10.0,
-        0.1,
-        1000.0,
-        begin=_card(CardFault.SLOW),
-        of_card=True,
-    ),
+    "card-errors": FaultKind(Value(0.01, 1e-9, 1.0), _card(CardFault.ERRORS), of_card=True),  # share
+    "card-worn": FaultKind(Value(0, 0, 1e9, whole=True), _card(CardFault.WORN), of_card=True),  # writes
+    "card-slow": FaultKind(Value(10.0, 0.1, 1000.0), _card(CardFault.SLOW), of_card=True),  # times as long
     # The receiver is not the board's: `FaultPlan.damaged` takes its frames.
-    "receiver-broken": FaultKind(
-        "a bit of each receiver frame is turned over",
-        "in that share of the frames; default 1",
-        1.0,
-        1e-9,
-        1.0,
-    ),
+    "receiver-broken": FaultKind(Value(1.0, 1e-9, 1.0)),  # share of the frames
 }
 
 
@@ -214,11 +128,11 @@ class Fault:
 
     @property
     def kind(self) -> FaultKind:
-        """Its kind."""
         return FAULTS[self.name]
 
     def __str__(self) -> str:
-        given = f"={self.value:g}" if self.value != self.kind.default else ""
+        value = self.kind.value
+        given = f"={self.value:g}" if value is not None and self.value != value.default else ""
         return f"{self.name}{given}@{BOOT if self.at_s is None else f'{self.at_s:g}'}"
 
 
@@ -230,11 +144,11 @@ def parse_fault(text: str) -> Fault:
         raise ScenarioError(f"fault {text!r}, expected NAME[=VALUE]@SECONDS or NAME[=VALUE]@{BOOT}")
     if name not in FAULTS:
         raise ScenarioError(f"fault {name!r} is unknown, expected one of {', '.join(FAULTS)}")
-    kind = FAULTS[name]
-    if equals and not kind.value:
+    taken = FAULTS[name].value
+    if equals and taken is None:
         raise ScenarioError(f"fault {name}: got the value {given!r}, expected none")
-    value = _number(given, f"fault {name}", kind.low, kind.high, kind.whole) if equals else kind.default
-    at_s = None if when == BOOT else _number(when, f"fault {name}: its time", 0.0, SECONDS_MAX, False)
+    value = 0.0 if taken is None else _number(given, f"fault {name}", taken) if equals else taken.default
+    at_s = None if when == BOOT else _number(when, f"fault {name}: its time", _TIME)
     return Fault(name, value, at_s)
 
 
@@ -271,8 +185,7 @@ class FaultPlan:
             words.append(f"fault {fault}{' ends' if ends else ''}")
             kind = fault.kind
             self.begun = self.begun or not kind.of_card
-            if ends:
-                assert kind.end is not None
+            if ends and kind.end is not None:
                 kind.end(board)
                 continue
             kind.begin(board, fault.value)
@@ -295,12 +208,15 @@ class FaultPlan:
         self.due.sort(key=lambda item: item[0])
 
 
-def _number(text: str, where: str, low: float, high: float, whole: bool) -> float:
+_TIME = Value(0.0, 0.0, SECONDS_MAX)
+
+
+def _number(text: str, where: str, taken: Value) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not low <= value <= high or (whole and value != int(value)):
-        kind = "a whole number from " if whole else ""
-        raise ScenarioError(f"{where}: got {text!r}, expected {kind}{low:g} to {high:g}")
+    if not taken.low <= value <= taken.high or (taken.whole and value != int(value)):
+        kind = "a whole number from " if taken.whole else ""
+        raise ScenarioError(f"{where}: got {text!r}, expected {kind}{taken.low:g} to {taken.high:g}")
     return value

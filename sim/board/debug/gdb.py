@@ -115,14 +115,12 @@ class GdbServer:
             number, address = engine.watch_hit
             kind = list(self._watchpoints)[number][0]
             self._stop(TRAP, f"{WATCHES[kind]}:{address:x};")
-        elif self._steps and self._has_stepped(outcome):
+        elif self._steps and (  # a handler that interrupts the instruction belongs to its step
+            outcome is Outcome.RESET or (outcome is Outcome.LIMIT and engine.depth <= self._depth)
+        ):
             self._stop(TRAP)
         elif self._interrupted():
             self._stop(INTERRUPT)
-
-    def _has_stepped(self, outcome: Outcome) -> bool:
-        """Return True if a step is over; a handler that interrupts its instruction belongs to it."""
-        return outcome is Outcome.RESET or (outcome is Outcome.LIMIT and self._engine.depth <= self._depth)
 
     def _stop(self, signal: int, why: str = "") -> None:
         self._halted, self._signal = True, f"T{signal:02x}{why}" if why else f"S{signal:02x}"
@@ -145,9 +143,9 @@ class GdbServer:
             elif event.kind is Kind.AGAIN:
                 self._raw(self._last)
             elif event.kind is Kind.DAMAGED:
-                self._raw(b"-" if self._acknowledges else b"")
+                self._raw(b"-" * self._acknowledges)
             elif event.kind is Kind.PACKET:
-                self._raw(b"+" if self._acknowledges else b"")
+                self._raw(b"+" * self._acknowledges)
                 reply = self._answer(event.data.decode("latin-1"))
                 if reply is not None:
                     self._send(reply)

@@ -19,7 +19,6 @@ class Register:
 
     @property
     def bits(self) -> int:
-        """Its width."""
         return 32 * len(self.words)
 
 

@@ -35,7 +35,6 @@ class Inbox:
         self._buffer = b""
 
     def feed(self, data: bytes) -> None:
-        """Append received bytes."""
         self._buffer += data
 
     def take(self) -> Event | None:

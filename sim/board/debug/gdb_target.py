@@ -40,15 +40,12 @@ class Target:
     # ---- registers ----
 
     def registers(self) -> str:
-        """Return the values of all registers."""
         return "".join(map(self._value, REGISTERS))
 
     def register(self, rest: str) -> str:
-        """Return the value of the register of that number."""
         return self._value(_register(rest))
 
     def set_registers(self, rest: str) -> str:
-        """Set all registers."""
         data = bytes.fromhex(rest)
         if len(data) != sum(register.bits // 8 for register in REGISTERS):
             raise ValueError(f"{len(data)} bytes for all registers")
@@ -58,7 +55,6 @@ class Target:
         return "OK"
 
     def set_register(self, rest: str) -> str:
-        """Set the register of that number."""
         number, _, value = rest.partition("=")
         register, data = _register(number), bytes.fromhex(value)
         if len(data) != register.bits // 8:

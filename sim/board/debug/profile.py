@@ -6,7 +6,7 @@ Counts include every executed instruction, also those skipped under a condition.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ from neuroflight.sim.board.core.engine import (
     code_row,
     row_address,
 )
+from neuroflight.sim.board.core.source_places import Places
 from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES
 from neuroflight.toolchain.cortex_m7.disassembly import disassemble
 from neuroflight.toolchain.errors import BuildError
@@ -29,7 +30,6 @@ EXCEPTIONS = 16 + 104
 NAMES = {2: "NMI", 3: "HardFault", 4: "MemManage", 5: "BusFault", 6: "UsageFault"}
 NAMES |= {11: "SVCall", 14: "PendSV", 15: "SysTick"}
 WIDE = 0xE800  # from here on a first halfword has a second one (ARMv7-M A5.1)
-NO_RETURN = 0xFFFFFFFF  # of a node that nothing called
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,8 @@ class FunctionCoverage:
 
 def execution_counts(engine: Engine) -> dict[int, int]:
     """Return how often each instruction was executed, by address; the alias of flash counts as flash."""
-    counts = _halfword_counts(engine)
+    enters, leaves = code_counts(engine)
+    counts = np.cumsum(enters - leaves)[:-1]  # of each halfword: begins less ends, summed along the addresses
     code = np.frombuffer(engine.memory(0, ITCM_BYTES) + engine.memory(FLASH_BASE, FLASH_BYTES), "<u2")
     found = {}
     end = 0
@@ -90,17 +91,15 @@ def execution_counts(engine: Engine) -> dict[int, int]:
 
 def task_counts(engine: Engine) -> tuple[TaskCount, ...]:
     """Return a count for the thread and for every exception that was taken."""
-    tasks: list[TaskCount] = []
-    others = 0
     vectors = engine.load(0xE000ED08, 4)
-    for number in range(1, EXCEPTIONS):
-        task = engine.library.engine_task(engine.handle, number)
-        if task.activations:
-            others += task.instructions
-            handler = engine.load(vectors + 4 * number, 4) & ~1
-            tasks.append(_task(engine, number, task, handler))
-    thread = TaskCount(0, "thread", "", 1, engine.instructions - others, 0, 0, 0.0, 0.0, "")
-    return (thread, *tasks)
+    counts = {n: engine.library.engine_task(engine.handle, n) for n in range(1, EXCEPTIONS)}
+    tasks = [
+        _task(engine, number, task, engine.load(vectors + 4 * number, 4) & ~1)
+        for number, task in counts.items()
+        if task.activations
+    ]
+    others = sum(task.instructions for task in tasks)
+    return (TaskCount(0, "thread", "", 1, engine.instructions - others, 0, 0, 0.0, 0.0, ""), *tasks)
 
 
 def function_counts(engine: Engine) -> tuple[FunctionCount, ...]:
@@ -109,19 +108,13 @@ def function_counts(engine: Engine) -> tuple[FunctionCount, ...]:
     if places is None:
         raise BuildError("a profile by functions needs the image's ELF file")
     executed = execution_counts(engine)
-    instructions: Counter[int] = Counter()
-    covered: Counter[int] = Counter()
-    names: dict[int, str] = {}
-    for address, times in executed.items():
-        symbol = places.function(address)
-        start = symbol.address if symbol else 0
-        names[start] = symbol.name if symbol else "?"
-        instructions[start] += times
-        covered[start] += 1
-    return tuple(
-        FunctionCount(names[start], start, total, executed.get(start, 0), covered[start])
-        for start, total in sorted(instructions.items(), key=lambda item: (-item[1], item[0]))
-    )
+    found = [
+        FunctionCount(
+            name, start, sum(executed[a] for a in addresses), executed.get(start, 0), len(addresses)
+        )
+        for (start, name), addresses in _by_function(places, executed).items()
+    ]
+    return tuple(sorted(found, key=lambda one: (-one.instructions, one.address)))
 
 
 def coverage(engine: Engine) -> tuple[FunctionCoverage, ...]:
@@ -129,19 +122,21 @@ def coverage(engine: Engine) -> tuple[FunctionCoverage, ...]:
     if engine.places is None:
         raise BuildError("coverage needs the image's ELF file")
     executed = execution_counts(engine)
-    functions: dict[int, list[int]] = {}
-    names: dict[int, str] = {}
-    for address in disassemble(engine.places.path):
-        symbol = engine.places.function(address)
-        if symbol is not None:
-            names[symbol.address] = symbol.name
-            functions.setdefault(symbol.address, []).append(address)
+    functions = _by_function(engine.places, disassemble(engine.places.path))
     return tuple(
-        FunctionCoverage(
-            names[start], start, len(addresses), tuple(a for a in addresses if a not in executed)
-        )
-        for start, addresses in sorted(functions.items())
+        FunctionCoverage(name, start, len(addresses), tuple(a for a in addresses if a not in executed))
+        for (start, name), addresses in sorted(functions.items())
+        if start
     )
+
+
+def _by_function(places: Places, addresses: Iterable[int]) -> dict[tuple[int, str], list[int]]:
+    """Return addresses by start and name of the function that holds them; 0 and "?" where none does."""
+    found: dict[tuple[int, str], list[int]] = {}
+    for address in addresses:
+        symbol = places.function(address)
+        found.setdefault((symbol.address, symbol.name) if symbol else (0, "?"), []).append(address)
+    return found
 
 
 def folded_stacks(engine: Engine) -> tuple[str, ...]:
@@ -188,13 +183,6 @@ def _task(engine: Engine, number: int, task: Any, handler: int) -> TaskCount:  #
         task.latest / (1 << FRACTION),
         engine.place(task.latest_pc) if code_row(task.latest_pc) is not None else "between two handlers",
     )
-
-
-def _halfword_counts(engine: Engine) -> NDArray[np.int64]:
-    """Return how often each halfword of code was executed: begins less ends, summed along the addresses."""
-    enters, leaves = code_counts(engine)
-    counts: NDArray[np.int64] = np.cumsum(enters - leaves)[:-1]
-    return counts
 
 
 def code_counts(engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

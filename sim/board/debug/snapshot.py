@@ -7,7 +7,6 @@ that follows is the run that would have followed.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -46,13 +45,12 @@ class Snapshot:
 
 def take_snapshot(engine: Engine) -> Snapshot:
     """Copy the state of `engine`, which stands between two runs."""
-    states = {name: peripheral.state() for name, peripheral in engine.peripherals.items()}
     return Snapshot(
         shape=_shape(engine),
         core=bytes(_core(engine)),
         registers=tuple(engine.library.engine_register(engine.handle, name) for name in REGISTERS),
         memories=tuple(engine.memory(address, size) for address, size in MEMORIES),
-        peripherals=copy.deepcopy(states),
+        peripherals={name: peripheral.state() for name, peripheral in engine.peripherals.items()},
         counts=b"".join(map(bytes, _counts(engine))),
         notes=tuple(engine.notes.values()),
         resets=tuple(engine.resets),
@@ -64,7 +62,7 @@ def restore_snapshot(engine: Engine, snapshot: Snapshot) -> None:
     if snapshot.shape != _shape(engine):
         raise BoardError("a snapshot of a board with other peripherals or another time; take a new one")
     for (address, _), data in zip(MEMORIES, snapshot.memories, strict=True):
-        engine.poke(address, data)
+        engine.set_memory(address, data)
     _core(engine)[:] = snapshot.core
     enters, leaves = _counts(engine)
     enters[:], leaves[:] = snapshot.counts[: len(enters)], snapshot.counts[len(enters) :]
@@ -72,9 +70,8 @@ def restore_snapshot(engine: Engine, snapshot: Snapshot) -> None:
         engine.library.engine_set_register(engine.handle, name, value)
     engine.notes = {note.message: note for note in snapshot.notes}
     engine.resets = list(snapshot.resets)
-    states = copy.deepcopy(snapshot.peripherals)
     for name, peripheral in engine.peripherals.items():
-        peripheral.restore(states[name])
+        peripheral.restore(snapshot.peripherals[name])
     engine.forget_failure()
     engine.library.engine_restored(engine.handle)
 

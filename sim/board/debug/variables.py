@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -43,19 +42,14 @@ def read_variables(elf: Path, *paths: str) -> tuple[Variable, ...]:
 
     Results are cached by the file's content.
     """
-    try:
-        content = hashlib.sha256(elf.read_bytes()).digest()
-    except OSError as error:
-        raise _no_elf(elf, error) from error
-    return _variables(elf, content, paths)
+    return _variables(elf, _content(elf), paths)
 
 
 @lru_cache(maxsize=64)
 def _variables(elf: Path, content: bytes, paths: tuple[str, ...]) -> tuple[Variable, ...]:
     """content: digest of `elf`'s bytes, which makes the cache depend on them."""
-    with _units(elf) as units:
-        places = [_place(units, path, elf) for path in paths]
-        return tuple(Variable(at, _dtype(kind, path)) for path, (at, kind) in zip(paths, places, strict=True))
+    places = [_place(_units(elf, content), path, elf) for path in paths]
+    return tuple(Variable(at, _dtype(kind, path)) for path, (at, kind) in zip(paths, places, strict=True))
 
 
 def pointers_in(elf: Path, path: str) -> tuple[slice, ...]:
@@ -63,8 +57,7 @@ def pointers_in(elf: Path, path: str) -> tuple[slice, ...]:
 
     Raises BuildError as `read_variables` does.
     """
-    with _units(elf) as units:
-        return tuple(_pointers(_place(units, path, elf)[1], 0))
+    return tuple(_pointers(_place(_units(elf, _content(elf)), path, elf)[1], 0))
 
 
 def constant(elf: Path, path: str) -> bytes:
@@ -78,13 +71,21 @@ def constant(elf: Path, path: str) -> bytes:
     raise BuildError(f"{elf}: {path} is not in the file")
 
 
-@contextmanager
-def _units(elf: Path) -> Iterator[list[Any]]:
-    """Yield the compilation units of the image."""
+def _content(elf: Path) -> bytes:
+    """Return the digest of the file's bytes."""
+    try:
+        return hashlib.sha256(elf.read_bytes()).digest()
+    except OSError as error:
+        raise _no_elf(elf, error) from error
+
+
+@lru_cache(maxsize=2)
+def _units(elf: Path, content: bytes) -> list[Any]:
+    """Return the compilation units of the image. What was read of them once is kept; content: as above."""
     try:
         with elf.open("rb") as file:
             image = ELFFile(file)
-            yield list(image.get_dwarf_info().iter_CUs()) if image.has_dwarf_info() else []
+            return list(image.get_dwarf_info().iter_CUs()) if image.has_dwarf_info() else []
     except (OSError, ELFError) as error:
         raise _no_elf(elf, error) from error
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NoReturn
 
-from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.context import TIME_HZ, Kept
 
 PROTOCOLS = {300: 300_000, 600: 600_000}  # bits a second
 TOLERANCE = 0.05  # of a nominal time
@@ -48,8 +48,10 @@ class Frame:
     protocol: int  # 300 or 600
 
 
-class Esc:
+class Esc(Kept):
     """The receiving end of one motor's line. `fail` is called with the error, and must not return."""
+
+    kept = ("_bits", "_length", "_next")
 
     def __init__(self, in_c: Any, fail: Callable[[str], NoReturn]) -> None:  # noqa: ANN401 - struct esc
         """in_c: its state, which C changes with each plain frame."""
@@ -76,7 +78,6 @@ class Esc:
 
     @property
     def frames(self) -> int:
-        """Number of frames so far."""
         return int(self._in_c.frames)
 
     @property
@@ -86,7 +87,6 @@ class Esc:
         return None if state.last == NO_FRAME else self.frame(state.last_cycle, state.last)
 
     def frame(self, cycle: int, data: int) -> Frame:
-        """Return a frame that C has taken."""
         assert self.protocol is not None
         return Frame(self.motor, cycle, data >> 1, bool(data & 1), self.protocol)
 
@@ -130,12 +130,6 @@ class Esc:
         self._in_c.rest_since = -TIME_HZ
         if forget:
             self.protocol, self._in_c.last = None, NO_FRAME
-
-    def state(self) -> Any:  # noqa: ANN401
-        return (self._bits, self._length, self._next)
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        self._bits, self._length, self._next = state
 
     def _open(self, cycle: int, length: int) -> None:
         gap = (cycle - self._in_c.rest_since) / TIME_HZ

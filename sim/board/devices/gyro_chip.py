@@ -14,9 +14,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
-from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.context import TIME_HZ, Kept
 from neuroflight.sim.board.core.engine import NEVER
 from neuroflight.sim.board.devices.gyro_mount import Counts
 from neuroflight.sim.board.native.library import Native, in_c
@@ -42,16 +41,8 @@ Bits = tuple[tuple[int, int], ...]  # registers, and bits or values of each
 
 # Registers that the image may write, and the bits of each that the model knows. Of an MPU6500:
 _WRITABLE: Bits = (
-    (SMPLRT_DIV, 0xFF),
-    (CONFIG, 0x07),
-    (GYRO_CONFIG, 0x18),
-    (ACCEL_CONFIG, 0x18),
-    (ACCEL_CONFIG2, 0x0F),
-    (INT_PIN_CFG, 0x10),
-    (INT_ENABLE, 0x01),
-    (USER_CTRL, 0x11),
-    (PWR_MGMT_1, 0xC7),
-    (PWR_MGMT_2, 0x3F),
+    *((SMPLRT_DIV, 0xFF), (CONFIG, 0x07), (GYRO_CONFIG, 0x18), (ACCEL_CONFIG, 0x18), (ACCEL_CONFIG2, 0x0F)),
+    *((INT_PIN_CFG, 0x10), (INT_ENABLE, 0x01), (USER_CTRL, 0x11), (PWR_MGMT_1, 0xC7), (PWR_MGMT_2, 0x3F)),
 )
 _READ_ONLY = {INT_STATUS, WHO_AM_I, *range(DATA, DATA + DATA_BYTES)}
 
@@ -76,11 +67,10 @@ class GyroKind:
 
     @property
     def known(self) -> dict[int, int]:
-        """Registers that may be written, and the bits of each that the model knows."""
+        """Registers that may be written, and the bits of each that the model knows, as last stated."""
         return {**dict(self.writable), SIGNAL_PATH_RESET: self.signal_paths}
 
     def temperature(self, deg_c: float) -> int:
-        """Convert to counts of TEMP_OUT."""
         return round((deg_c - self.zero_deg_c) * self.counts_per_degree)
 
 
@@ -112,16 +102,9 @@ ICM20602 = GyroKind(
     register_hz=10_000_000,
     reset=((PWR_MGMT_1, 0x41), (CONFIG, 0x80)),
     writable=(
-        (SMPLRT_DIV, 0xFF),
-        (CONFIG, 0x07),  # bit 7 has to be 0
+        *_WRITABLE,
         (GYRO_CONFIG, 0x1B),
-        (ACCEL_CONFIG, 0x18),
-        (ACCEL_CONFIG2, 0x0F),
-        (INT_PIN_CFG, 0x10),
-        (INT_ENABLE, 0x01),
-        (USER_CTRL, 0x01),  # there is nothing for I2C in it
-        (PWR_MGMT_1, 0xC7),
-        (PWR_MGMT_2, 0x3F),
+        (USER_CTRL, 0x01),
         (I2C_IF, 0x40),
     ),
     spi_only=(I2C_IF, 0x40),
@@ -135,20 +118,23 @@ ICM20601 = replace(ICM20689, name="ICM20601", who_am_i=0xAC, full_scale=2)  # +-
 MPU9250 = replace(MPU6500, name="MPU9250", who_am_i=0x71)
 
 
-class GyroChip:
+class GyroChip(Kept):
     """One chip, powered since cycle 0; a reset of the board's processor does not reset it.
 
     C takes the samples and answers plain reads of data; this class answers for all other registers.
     """
 
+    kept = ("_registers", "_ready_why", "_powered_at")
+
     def __init__(self, native: Native, pins: Pins, kind: GyroKind = ICM20602) -> None:
-        self.context, self.kind = native.engine, kind
+        self.engine, self.kind = native.engine, kind
         self._native, self._pins = native, pins
         self.phase = 0  # by how much later its samples begin: its clock is its own [cycles]
-        self._sample_alarm = self.context.alarm("gyro.sample", in_c)
-        self._fall_alarm = self.context.alarm("gyro.fall", in_c)
+        self._sample_alarm = self.engine.alarm("gyro.sample", in_c)
+        self._fall_alarm = self.engine.alarm("gyro.fall", in_c)
         alarms = (self._sample_alarm.number, self._fall_alarm.number)
         self._in_c = native.library.native_gyro(native.handle, *alarms, PULSE, float(kind.data_hz))
+        native.on_exchange = self._exchange
         self._measured = memoryview(native.ffi.buffer(self._in_c.measured))
         self._no_address = native.library.NO_ADDRESS
         self._powered_at = 0
@@ -168,8 +154,7 @@ class GyroChip:
             self._sample_alarm.set(self.next_sample)
 
     def power_on(self) -> None:
-        """Restart after the supply was gone."""
-        self._powered_at = self.context.cycle
+        self._powered_at = self.engine.cycle
         self._in_c.due = NEVER
         self._sample_alarm.cancel()
         self._fall_alarm.cancel()
@@ -209,7 +194,6 @@ class GyroChip:
 
     @property
     def samples(self) -> int:
-        """Number of samples since power-up."""
         return int(self._in_c.samples)
 
     @property
@@ -228,7 +212,6 @@ class GyroChip:
         return None if due == NEVER else due
 
     def _configured_period(self) -> int:
-        """Return the cycles between samples."""
         if self._registers[GYRO_CONFIG] & _FAST:
             return TIME_HZ // 32_000
         filtered = self._registers[CONFIG] & 7
@@ -238,15 +221,15 @@ class GyroChip:
 
     # On the bus
 
-    def exchange(self, sent: Sequence[int], transaction: int, hz: float, mode: int) -> bytes:
-        """Exchange bytes of a transaction (sim.board.peripherals.spi.SpiSlave)."""
+    def _exchange(self, sent: Sequence[int], transaction: int, hz: float, mode: int) -> bytes:
+        """Exchange bytes. transaction: its number; hz: of the clock; mode: 0..3."""
         state = self._in_c
         if transaction != state.transaction:
             state.transaction = transaction
             self._validate_end()
             state.address = self._no_address
         if mode not in (0, 3):
-            self.context.fail(f"the {self.kind.name} is addressed in SPI mode {mode}, expected 0 or 3")
+            self.engine.fail(f"the {self.kind.name} is addressed in SPI mode {mode}, expected 0 or 3")
         return bytes(self._byte(value, hz) for value in sent)
 
     def _byte(self, value: int, hz: float) -> int:
@@ -272,16 +255,16 @@ class GyroChip:
             return
         count = address - DATA
         if count & 1 and 0 < count < DATA_BYTES:
-            self.context.fail(
+            self.engine.fail(
                 f"the data of the {self.kind.name} was read up to 0x{address - 1:02X}, the upper half "
                 f"of a value; expected both its bytes in one transaction"
             )
 
     def _validate_time(self) -> None:
         ready_at = int(self._in_c.ready_at)
-        if self.context.cycle < ready_at:
-            left = (ready_at - self.context.cycle) / _MILLISECOND
-            self.context.fail(
+        if self.engine.cycle < ready_at:
+            left = (ready_at - self.engine.cycle) / _MILLISECOND
+            self.engine.fail(
                 f"the {self.kind.name} is addressed {left:.1f} ms before it answers after {self._ready_why}, "
                 f"expected a wait"
             )
@@ -292,7 +275,7 @@ class GyroChip:
         limit = self.kind.data_hz if fast else self.kind.register_hz
         if hz > limit:
             what = "data" if fast else f"register 0x{address:02X}"
-            self.context.fail(
+            self.engine.fail(
                 f"SPI1 reads or writes {what} of the {self.kind.name} at {hz / 1e6:g} MHz, expected "
                 f"{limit / 1e6:g} MHz at most"
             )
@@ -301,12 +284,12 @@ class GyroChip:
         """Check the set-up before samples begin."""
         clock = self._registers[PWR_MGMT_1] & _CLOCK
         if clock != _GOOD_CLOCK:
-            self.context.fail(
+            self.engine.fail(
                 f"the {self.kind.name} samples with CLKSEL {clock}, expected {_GOOD_CLOCK}: its gyro needs it"
             )
         register, bit = self.kind.spi_only
         if not self._registers[register] & bit:
-            self.context.fail(
+            self.engine.fail(
                 f"the {self.kind.name} samples while it may take its bus for I2C, expected register "
                 f"0x{register:02X} with bit 0x{bit:02X}"
             )
@@ -320,7 +303,7 @@ class GyroChip:
             status, self._in_c.interrupt = int(self._in_c.interrupt), False
             return status
         if address not in self._registers and address not in _READ_ONLY:
-            self.context.fail(
+            self.engine.fail(
                 f"register 0x{address:02X} of the {self.kind.name} is read, which is not modelled"
             )
         return self._registers[address]
@@ -328,13 +311,13 @@ class GyroChip:
     def _write(self, address: int, value: int) -> None:
         known = self.kind.known.get(address)
         if known is None or value & ~known:
-            self.context.fail(
+            self.engine.fail(
                 f"register 0x{address:02X} of the {self.kind.name} = 0x{value:02X}: the model knows "
                 f"{'none of it' if known is None else f'bits 0x{known:02X}'}"
             )
         if address == PWR_MGMT_1 and value & _DEVICE_RESET:
             self._clear()
-            self._in_c.ready_at = self.context.cycle + self.kind.reset_ms * _MILLISECOND
+            self._in_c.ready_at = self.engine.cycle + self.kind.reset_ms * _MILLISECOND
             self._ready_why = "its reset"
         elif address == SIGNAL_PATH_RESET:
             self._in_c.data = bytes(DATA_BYTES)  # the bits clear themselves
@@ -357,12 +340,5 @@ class GyroChip:
         self._validate_set_up()
         state.period = self._configured_period()
         if state.due == NEVER:
-            state.due = self.context.cycle + state.period + self.phase
+            state.due = self.engine.cycle + state.period + self.phase
             self._sample_alarm.set(state.due)
-
-    def state(self) -> Any:  # noqa: ANN401
-        return (dict(self._registers), self._ready_why, self._powered_at)
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        registers, self._ready_why, self._powered_at = state
-        self._registers = dict(registers)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, MutableMapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from neuroflight.sim.board.core.context import Kept
 from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.core.library import load_library
 from neuroflight.sim.board.registers.bus import Block, Device, Register, Registers, load_table
@@ -17,7 +18,9 @@ from neuroflight.sim.compiled import Library
 
 C = Path(__file__).parent / "c"
 
-Query = Callable[[int, int], object]  # what a device answers; raises an error for what is wrong
+# What a device answers: an error's message with {name} of the device and {a}, {b} of the query, or a function
+# that raises an error for what is wrong.
+Query = str | Callable[[int, int], object]
 
 
 def native_library() -> Library:
@@ -30,14 +33,12 @@ class Driver(Protocol):
 
     def sync(self) -> None:
         """Move what has been moved up to now."""
-        ...
 
     def dma_changed(self) -> None:
         """Handle that a stream for one of its requests was enabled or disabled."""
-        ...
 
 
-class Native:
+class Native(Kept):
     """The C side of one board's peripherals. Devices and what hangs on them set the callbacks."""
 
     def __init__(self, engine: Engine) -> None:
@@ -51,19 +52,20 @@ class Native:
         self.on_errors: Callable[[bytes], bytes] = lambda received: received
         self.on_frame: Callable[[int, int, int], None] = lambda motor, cycle, data: None
         self.on_sample: Callable[[int], None] = lambda number: None
-        functions = {
-            "reject": self._guarded(self._reject),
+        functions: dict[str, Callable[..., object]] = {
+            "reject": self._reject,
             "query": self._query,
-            "source": self._guarded(self._source),
-            "exchange": self._guarded(self._exchange),
-            "card": self._guarded(self._card),
-            "errors": self._guarded(self._errors),
-            "pulses": self._guarded(self._pulses),
-            "frames": self._guarded(self._frames),
-            "pin": self._guarded(self._pin),
-            "sample": self._guarded(self._sample),
+            "source": self._source,
+            "exchange": self._exchange,
+            "card": self._card,
+            "errors": self._errors,
+            "pulses": self._pulses,
+            "frames": self._frames,
+            "pin": lambda device, pin, level: self.devices[device].on_pin(pin, level),
+            "sample": lambda number: self.on_sample(number),
         }
-        self._kept = {name: self.ffi.callback(f"{name}_callback", f) for name, f in functions.items()}
+        guarded = {name: engine.guarded(f, {"query": True}.get(name)) for name, f in functions.items()}
+        self._kept = {name: self.ffi.callback(f"{name}_callback", f) for name, f in guarded.items()}
         callbacks = self.ffi.new("struct native_callbacks *", self._kept)
         # Looked up now: if the garbage collector ran while cffi looks up a name, it would wait for itself.
         self._free = self.library.native_free
@@ -87,7 +89,6 @@ class Native:
         self.engine.after_run = self.tell_frames
 
     def tell_frames(self) -> None:
-        """Call `on_frame` for the frames that C has taken."""
         self.library.native_tell_frames(self.handle)
 
     def _state(self) -> memoryview:
@@ -95,7 +96,6 @@ class Native:
         return memoryview(self.ffi.buffer(library.native_state(self.handle), library.native_state_bytes()))
 
     def state(self) -> bytes:
-        """Return everything in C that changes."""
         return bytes(self._state())
 
     def restore(self, state: bytes) -> None:
@@ -104,34 +104,16 @@ class Native:
 
     # ---- what C calls ----
 
-    def _guarded(self, function: Callable[..., None]) -> Callable[..., None]:
-        """Wrap `function` so that C may call it."""
-
-        def call(*arguments: Any) -> None:  # noqa: ANN401
-            try:
-                function(*arguments)
-            except BaseException as error:
-                self.engine.raise_later(error)
-
-        return call
-
     def _reject(self, device: int, offset: int, size: int, value: int, write: bool) -> None:
         self.on_reject(self.devices[device], offset, size, value if write else None)
 
     def _query(self, query: int, device: int, a: int, b: int) -> bool:
-        try:
-            self.devices[device].queries[query](a, b)
-        except BaseException as error:
-            self.engine.raise_later(error)
-            return True
+        self.devices[device].answer(query, a, b)
         return False
 
     def _source(self, source: int, sync: bool) -> None:
         driver = self.drivers[source]
-        if sync:
-            driver.sync()
-        else:
-            driver.dma_changed()
+        (driver.sync if sync else driver.dma_changed)()
 
     def _exchange(self, data: Any, count: int, transaction: int, hz: float, mode: int) -> None:  # noqa: ANN401
         self.ffi.memmove(data, self.on_exchange(data[0:count], transaction, hz, mode), count)
@@ -159,12 +141,6 @@ class Native:
         for i in range(count):
             self.on_frame(frames[i].motor, frames[i].cycle, frames[i].data)
 
-    def _pin(self, device: int, pin: int, level: bool) -> None:
-        self.devices[device].on_pin(pin, level)
-
-    def _sample(self, number: int) -> None:
-        self.on_sample(number)
-
 
 class _Words(MutableMapping[str, int]):
     """A device's registers by name, kept in C."""
@@ -191,6 +167,8 @@ class _Words(MutableMapping[str, int]):
 
 class NativeDevice(Device):
     """A peripheral whose registers and time are C's. `queries` are its answers, by number of enum query."""
+
+    kept: tuple[str, ...] = ()  # `Native` keeps them
 
     def __init__(
         self,
@@ -221,12 +199,18 @@ class NativeDevice(Device):
 
     @property
     def clocked(self) -> bool:  # type: ignore[override]
-        """True if its clock is on."""
         return bool(self.native.library.native_is_clocked(self.native.handle, self.number))
 
     @clocked.setter
     def clocked(self, on: bool) -> None:
         self.native.library.native_clock(self.native.handle, self.number, on)
+
+    def answer(self, query: int, a: int, b: int) -> None:
+        """Answer a query of C. Raises BoardError for what is wrong."""
+        answer = self.queries[query]
+        if isinstance(answer, str):
+            self.engine.fail(answer.format(name=self.name, a=a, b=b))
+        answer(a, b)
 
     def on_pulses(self, channel: int, start: int, length: int, highs: list[int]) -> None:
         """Handle pulses of a timer's channel that are no plain frame."""
@@ -241,15 +225,8 @@ class NativeDevice(Device):
         touched, handle, word = self.native.library.native_touched, self.native.handle, register.offset >> 2
         return int(touched(handle, self.number, word, False)), int(touched(handle, self.number, word, True))
 
-    def state(self) -> Any:  # noqa: ANN401
-        return None  # `Native` has it
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        pass
-
 
 def _rule(register: Register) -> dict[str, int]:
-    """Return `struct rule` of a register."""
     return {
         "reset": register.reset,
         "fixed": register.reserved | register.unmodelled,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from neuroflight.sim.board.core.context import TIME_HZ, Context
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.peripherals.dma import DmaSystem
 from neuroflight.sim.board.peripherals.gpio import SIGNALS, Pins
 from neuroflight.sim.board.peripherals.rcc import MICROSECOND, Clocks
@@ -23,8 +24,8 @@ _EOC, _STRT, _OVR = 1 << 1, 1 << 4, 1 << 5
 class AdcCommon(Device):
     """The registers that the chip's converters share."""
 
-    def __init__(self, context: Context) -> None:
-        super().__init__(context, "ADC_Common")
+    def __init__(self, engine: Engine) -> None:
+        super().__init__(engine, "ADC_Common")
 
     @property
     def divider(self) -> int:
@@ -35,19 +36,19 @@ class AdcCommon(Device):
 class Adc(Device):
     """ADC1, started by software, once or continuously."""
 
-    kept = ("_pins_v", "_on_at", "_running", "_next", "_at", "_apb2", "_stalled", "_same")
+    kept = ("words", "_pins_v", "_on_at", "_running", "_next", "_at", "_apb2", "_stalled", "_same")
 
-    def __init__(self, context: Context, common: AdcCommon, dma: DmaSystem, pins: Pins) -> None:
-        super().__init__(context, "ADC1")
-        self._common, self._dma, self._pins = common, dma, pins
+    def __init__(self, engine: Engine, common: AdcCommon, dma: DmaSystem, pins: Pins) -> None:
+        super().__init__(engine, "ADC1")
+        self._common, self._pins = common, pins
         self._irq = load_table().interrupt("ADC")
-        self._alarm = context.alarm("adc1.end", self._wake)
+        self._alarm = engine.alarm("adc1.end", self.sync)
         self._pins_v: dict[int, float] = {}  # by channel
         self._apb2 = TIME_HZ // 2
         # The sequence and its times, for registers and clocks of these values.
         self._order: tuple[tuple[int, ...], list[int], list[int]] = ((), [], [])
         self._begin()
-        dma.connect("ADC1", self, lazy=True)
+        self._dma = dma.connect("ADC1", self, lazy=True)
 
     def _begin(self) -> None:
         self._on_at = 0
@@ -61,7 +62,7 @@ class Adc(Device):
         super().reset()
         self._begin()
         self._alarm.cancel()
-        self.context.irq(self._irq, False)
+        self.engine.irq(self._irq, False)
 
     def set_clock(self, clocks: Clocks) -> None:
         """Take over a changed clock tree."""
@@ -77,7 +78,6 @@ class Adc(Device):
         self.set_pin(AMPS, amps * VOLTS_PER_AMPERE)
 
     def set_pin(self, channel: int, volts: float) -> None:
-        """Set the voltage on a channel's pin."""
         if self._pins_v.get(channel) != volts:
             self.sync()
             self._pins_v[channel] = volts
@@ -112,7 +112,7 @@ class Adc(Device):
         start = value & self.mask("CR2", "SWSTART")
         changed = self.keep("CR2", value & ~self.mask("CR2", "SWSTART"))
         if changed & self.mask("CR2", "ADON"):
-            self._on_at = self.context.cycle
+            self._on_at = self.engine.cycle
             self._running = False
         if changed & self.mask("CR2", "DMA"):
             self._stalled = False
@@ -123,7 +123,7 @@ class Adc(Device):
         self._changed()
 
     def _start(self) -> None:
-        fail, now = self.context.fail, self.context.cycle
+        fail, now = self.engine.fail, self.engine.cycle
         if not self.get("CR2", "ADON"):
             fail("ADC1 is started while it is off, expected CR2 ADON 1 for 3 us before SWSTART")
         if now - self._on_at < STABILIZATION:
@@ -146,9 +146,8 @@ class Adc(Device):
     # Conversions
 
     def _sequence(self) -> list[int]:
-        places = [self.words["SQR3"] >> 5 * i & 31 for i in range(6)]
-        places += [self.words["SQR2"] >> 5 * i & 31 for i in range(6)]
-        places += [self.words["SQR1"] >> 5 * i & 31 for i in range(4)]
+        rows = (("SQR3", 6), ("SQR2", 6), ("SQR1", 4))
+        places = [self.words[name] >> 5 * i & 31 for name, count in rows for i in range(count)]
         return places[: self.get("SQR1", "L") + 1]
 
     def _times(self) -> list[int]:
@@ -161,7 +160,6 @@ class Adc(Device):
         return self._order[2]
 
     def _cycles(self, channel: int) -> int:
-        """Return the cycles of a conversion."""
         register, place = ("SMPR1", channel - 10) if channel >= 10 else ("SMPR2", channel)
         sampling = _SAMPLING[self.words[register] >> 3 * place & 7]
         cycles = sampling + _BITS[self.get("CR1", "RES")]
@@ -175,7 +173,7 @@ class Adc(Device):
         """Do the conversions that have ended by now."""
         if not self._running:
             return
-        times, now = self._times(), self.context.cycle
+        times, now = self._times(), self.engine.cycle
         left = now - self._at
         if left < times[self._next]:
             return
@@ -214,15 +212,15 @@ class Adc(Device):
         if not self.get("CR2", "DMA"):
             self.words["SR"] |= _EOC
         elif not self._stalled:
-            available = self._dma.available("ADC1")
-            endless = available and self._dma.circular("ADC1") and self.get("CR2", "DDS")
+            available = self._dma.available
+            endless = available and self._dma.circular and self.get("CR2", "DDS")
             if endless and self._writes_the_same(len(self._order[2])):
                 # Whole rounds of the buffer change nothing once it has gone round.
-                total = self._dma.total("ADC1")
+                total = self._dma.total
                 codes = codes[-(total + len(codes) % total) :]
             taken = len(codes) if endless else min(available, len(codes))
             if taken:
-                self._dma.give("ADC1", codes[:taken])
+                self._dma.give(codes[:taken])
             if taken < len(codes):
                 self.words["SR"] |= _OVR
             # The last transfer, or one that came too late: no more requests until the image says so.
@@ -230,36 +228,29 @@ class Adc(Device):
         self._update_irq()
 
     def _plan(self) -> None:
-        by_dma, wanted = self.get("CR2", "DMA"), 0  # conversions until something shows
-        if not self._running:
-            pass
-        elif by_dma:
-            wanted = 0 if self._stalled else self._dma.until_flag("ADC1")
-        elif self.get("CR1", "EOCIE"):
-            wanted = 1
-        if not wanted:
+        by_dma = self.get("CR2", "DMA")
+        # Conversions until something shows.
+        wanted = self._dma.until_flag * (not self._stalled) if by_dma else self.get("CR1", "EOCIE")
+        if not wanted or not self._running:
             self._alarm.cancel()
-            self._dma.wake("ADC1", self._alarm, None)
+            self._dma.wake(self._alarm, None)
             return
         times = self._times()
         rounds, rest = divmod(wanted, len(times))
         cycles = rounds * sum(times) + sum(times[(self._next + i) % len(times)] for i in range(rest))
         if by_dma and not self.get("CR1", "OVRIE"):
-            self._dma.wake("ADC1", self._alarm, self._at + cycles, quiet=self._writes_the_same(len(times)))
+            self._dma.wake(self._alarm, self._at + cycles, quiet=self._writes_the_same(len(times)))
         else:
-            self._dma.wake("ADC1", self._alarm, None)
+            self._dma.wake(self._alarm, None)
             self._alarm.set(self._at + cycles)
 
     def _writes_the_same(self, places: int) -> bool:
         """Return True if every further conversion writes the value that its place in memory holds already."""
-        total = self._dma.total("ADC1")
-        endless = self._dma.circular("ADC1") and self.get("CR2", "DDS")
+        total = self._dma.total
+        endless = self._dma.circular and self.get("CR2", "DDS")
         return bool(endless and self._same >= total + places and total % places == 0)
-
-    def _wake(self) -> None:
-        self.sync()
 
     def _update_irq(self) -> None:
         status = self.words["SR"]
         ended = status & _EOC and self.get("CR1", "EOCIE")
-        self.context.irq(self._irq, bool(ended or (status & _OVR and self.get("CR1", "OVRIE"))))
+        self.engine.irq(self._irq, bool(ended or (status & _OVR and self.get("CR1", "OVRIE"))))

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NoReturn
 
-from neuroflight.sim.board.core.context import Alarm
-from neuroflight.sim.board.core.engine import NEVER
+from neuroflight.sim.board.core.engine import NEVER, Alarm
 from neuroflight.sim.board.native.library import Driver, Native, NativeDevice
 from neuroflight.sim.board.peripherals.dma_requests import REQUESTS, serves
 from neuroflight.sim.board.registers.bus import Device, load_table
@@ -35,53 +34,48 @@ class Dma(NativeDevice):
         self._number, self._system = number, system
         self.queries = {
             lib.QUERY_ENABLE: lambda stream, _: system.drive(number, stream, self.validate(stream)),
-            lib.QUERY_CHANGED: self.reject_changed,
-            lib.QUERY_FROZEN: lambda stream, word: self.reject_frozen(stream, _WORDS[(word - 4) % 6]),
-            lib.QUERY_TWICE: lambda stream, source: self.reject_twice(stream, system.names[source]),
-            lib.QUERY_CACHED: self.reject_cached,
-            lib.QUERY_BARRIER: lambda stream, _: self.reject_unordered(stream),
-            lib.QUERY_ASLEEP: lambda stream, _: self.reject_asleep(stream),
+            lib.QUERY_CHANGED: self._reject_changed,
+            lib.QUERY_FROZEN: self._reject_frozen,
+            lib.QUERY_TWICE: self._reject_twice,
+            lib.QUERY_CACHED: self._reject_cached,
+            # ARMv7-M A3.7.3, B2.3: earlier stores may still wait.
+            lib.QUERY_BARRIER: "{name} stream {a} is enabled without a barrier after the program's last "
+            "store: DMA may overtake what was stored, expected a DSB or DMB between them",
+            lib.QUERY_ASLEEP: self._reject_asleep,
         }
 
     def sync(self) -> None:
-        """Bring all streams up to now."""
         self.native.library.native_sync(self.native.handle, self._number - 1)
 
-    def reject_frozen(self, stream: int, name: str) -> NoReturn:
-        """Fail: a register of an enabled stream is written."""
-        self.context.fail(f"{self.name} stream {stream}: {name} is written while the stream is enabled")
+    def _fail(self, stream: int, message: str) -> NoReturn:
+        self.engine.fail(f"{self.name} stream {stream}{message}")
 
-    def reject_changed(self, stream: int, value: int) -> NoReturn:
-        """Fail: the configuration of an enabled stream is changed."""
+    def _reject_frozen(self, stream: int, word: int) -> NoReturn:
+        self._fail(stream, f": {_WORDS[(word - 4) % 6]} is written while the stream is enabled")
+
+    def _reject_changed(self, stream: int, value: int) -> NoReturn:
         before = self.words[f"S{stream}CR"]
-        self.context.fail(
-            f"{self.name} stream {stream}: its configuration is changed while it is enabled "
-            f"(0x{before:08X} to 0x{value:08X})"
+        self._fail(
+            stream,
+            f": its configuration is changed while it is enabled (0x{before:08X} to 0x{value:08X})",
         )
 
-    def reject_asleep(self, stream: int) -> NoReturn:
+    def _reject_asleep(self, stream: int, _: int) -> NoReturn:
         """Fail: a stream reads DTCM while the core sleeps (the vendor's errata for the STM32F7)."""
-        self.context.fail(
-            f"{self.name} stream {stream} reads DTCM (0x{self.words[f'S{stream}M0AR']:08X}) while the core "
-            f"sleeps, which gives nothing; expected its buffer in SRAM1 or SRAM2, or no WFI meanwhile"
+        self._fail(
+            stream,
+            f" reads DTCM (0x{self.words[f'S{stream}M0AR']:08X}) while the core sleeps, which gives nothing; "
+            f"expected its buffer in SRAM1 or SRAM2, or no WFI meanwhile",
         )
 
-    def reject_unordered(self, stream: int) -> NoReturn:
-        """Fail: a stream is enabled while earlier stores may still wait (ARMv7-M A3.7.3, B2.3)."""
-        self.context.fail(
-            f"{self.name} stream {stream} is enabled without a barrier after the program's last store: "
-            f"DMA may overtake what was stored, expected a DSB or DMB between them"
-        )
-
-    def reject_twice(self, stream: int, source: str) -> NoReturn:
-        """Fail: another stream serves `source` already."""
-        self.context.fail(
-            f"{self.name} stream {stream} is enabled for {source}, which another stream serves already"
+    def _reject_twice(self, stream: int, source: int) -> NoReturn:
+        self._fail(
+            stream, f" is enabled for {self._system.names[source]}, which another stream serves already"
         )
 
     def validate(self, stream: int) -> tuple[str, ...]:
         """Check a stream about to be enabled; return the requests that will drive it."""
-        who, fail = f"{self.name} stream {stream}", self.context.fail
+        who, fail = f"{self.name} stream {stream}", self.engine.fail
         channel, to_peripheral = self.get(f"S{stream}CR", "CHSEL"), self.get(f"S{stream}CR", "DIR")
         count = self.words[f"S{stream}NDTR"]
         flags = self.words["LISR" if stream < 4 else "HISR"] >> _SHIFTS[stream % 4] & _ALL_FLAGS
@@ -101,7 +95,7 @@ class Dma(NativeDevice):
 
     def _validate_channel(self, stream: int, channel: int, to_peripheral: int) -> tuple[str, ...]:
         """Return the requests that drive the stream, which must be its peripheral's."""
-        who, fail = f"{self.name} stream {stream}", self.context.fail
+        who, fail = f"{self.name} stream {stream}", self.engine.fail
         address = self.words[f"S{stream}PAR"]
         found = load_table().find(address)
         if found is None or found[1] is None or found[0].name not in self._system.devices:
@@ -138,7 +132,7 @@ class Dma(NativeDevice):
         return tuple(wanted)
 
     def _validate_memory(self, stream: int, to_peripheral: int, count: int, size: int) -> None:
-        who, fail = f"{self.name} stream {stream}", self.context.fail
+        who, fail = f"{self.name} stream {stream}", self.engine.fail
         address = self.words[f"S{stream}M0AR"]
         end = address + size * (count if self.get(f"S{stream}CR", "MINC") else 1)
         if address % size:
@@ -153,88 +147,99 @@ class Dma(NativeDevice):
                 f"{who}: memory 0x{address:08X} to 0x{end - 1:08X} is out of the reach of DMA, "
                 f"expected DTCM, SRAM1{', SRAM2 or flash' if to_peripheral else ' or SRAM2'}"
             )
-        self.reject_cached(stream, end - 1)
+        self._reject_cached(stream, end - 1)
 
-    def reject_cached(self, stream: int, address: int) -> None:
+    def _reject_cached(self, stream: int, address: int) -> None:
         """Fail if the data cache covers `address`."""
-        if SRAM1.address <= address < SRAM2.address + SRAM2.size and self.context.is_cached(address):
-            self.context.fail(
-                f"{self.name} stream {stream}: 0x{address:08X} lies in cached RAM while the data cache "
-                f"is on, expected DTCM, or SRAM2 where the MPU keeps it out of the cache"
+        if SRAM1.address <= address < SRAM2.address + SRAM2.size and self.engine.is_cached(address):
+            self._fail(
+                stream,
+                f": 0x{address:08X} lies in cached RAM while the data cache is on, expected DTCM, or SRAM2 "
+                f"where the MPU keeps it out of the cache",
             )
 
 
-class DmaSystem:
-    """Both controllers, and C's numbers of the requests: 0 to 31 for drivers in C, then those in Python."""
+class Request:
+    """A request of a peripheral in Python to DMA, and the stream that serves it."""
 
-    def __init__(self, native: Native) -> None:
-        self.controllers = {number: Dma(native, number, self) for number in (1, 2)}
-        self.devices: dict[str, Device] = {}  # all of the board, by name
-        self.names: dict[int, str] = {}  # of requests
-        self._numbers: dict[str, int] = {}
-        self._native, self._library = native, native.library
-        self.number("SPI1_RX", self._library.SPI_RX)
-        self.number("SPI1_TX", self._library.SPI_TX)
-        self.number("SPI3_RX", self._library.SPI3_RX)
-        self.number("SPI3_TX", self._library.SPI3_TX)
+    def __init__(self, native: Native, number: int) -> None:
+        """Name what C calls by `number`."""
+        self._native, self._library, self.number = native, native.library, number
 
-    def number(self, source: str, number: int) -> None:
-        """Let C call the request `source` by `number`."""
-        self.names[number], self._numbers[source] = source, number
+    @property
+    def available(self) -> int:
+        """Items that the stream moves before it ends or wraps; 0 without one."""
+        return int(self._library.native_available(self._native.handle, self.number))
 
-    def connect(self, source: str, driver: Driver, *, lazy: bool = False) -> None:
-        """Let `driver` make the requests called `source`, e.g. "USART1_RX". lazy: not at each wake."""
-        number = max(self._library.PYTHON_SOURCE, *(known + 1 for known in self.names))
-        self.number(source, number)
-        self._native.drivers[number] = driver
-        if lazy:
-            self._library.native_lazy(self._native.handle, number)
+    @property
+    def total(self) -> int:
+        """Items of the whole transfer; 0: no stream is enabled."""
+        return int(self._library.native_total(self._native.handle, self.number))
 
-    def drive(self, controller: int, stream: int, sources: Sequence[str]) -> None:
-        """Let `sources` drive a stream that is about to be enabled."""
-        for place, source in enumerate(sources):
-            self._library.native_set_source(
-                self._native.handle, controller - 1, stream, place, self._numbers[source]
-            )
+    @property
+    def until_flag(self) -> int:
+        """Items until the stream raises its next flag; 0: none is enabled."""
+        return int(self._library.native_until_flag(self._native.handle, self.number))
 
-    def available(self, source: str) -> int:
-        """Return the items that a stream moves for `source` before it ends or wraps; 0 without one."""
-        return int(self._library.native_available(self._native.handle, self._numbers[source]))
+    @property
+    def target(self) -> int:
+        """Peripheral address of the stream."""
+        return int(self._library.native_target(self._native.handle, self.number))
 
-    def wake(self, source: str, alarm: Alarm, cycle: int | None, *, quiet: bool = True) -> None:
-        """Let `alarm` ring at `cycle`, when the driver of `source` has something to move; None: it has
-        nothing.
+    @property
+    def circular(self) -> bool:
+        """True if the stream restarts at its end."""
+        return bool(self._library.native_circular(self._native.handle, self.number))
+
+    def wake(self, alarm: Alarm, cycle: int | None, *, quiet: bool = True) -> None:
+        """Let `alarm` ring at `cycle`, when there is something to move; None: there is nothing.
 
         quiet: only a read of DMA's registers or the driver's could show the move. Then `sync` may be called
         at such a read instead.
         """
         when = NEVER if cycle is None else cycle
-        self._library.native_wake(self._native.handle, self._numbers[source], alarm.number, when, quiet)
+        self._library.native_wake(self._native.handle, self.number, alarm.number, when, quiet)
 
-    def total(self, source: str) -> int:
-        """Return the items of the whole transfer for `source`; 0: no stream is enabled."""
-        return int(self._library.native_total(self._native.handle, self._numbers[source]))
-
-    def until_flag(self, source: str) -> int:
-        """Return the items until the stream that serves `source` raises its next flag; 0: none is enabled."""
-        return int(self._library.native_until_flag(self._native.handle, self._numbers[source]))
-
-    def target(self, source: str) -> int:
-        """Return the peripheral address of the stream that serves `source`."""
-        return int(self._library.native_target(self._native.handle, self._numbers[source]))
-
-    def circular(self, source: str) -> bool:
-        """Return True if the stream that serves `source` restarts at its end."""
-        return bool(self._library.native_circular(self._native.handle, self._numbers[source]))
-
-    def take(self, source: str, count: int) -> list[int]:
+    def take(self, count: int) -> list[int]:
         """Take the next `count` items from memory; no more than available unless it is circular."""
         items = self._native.ffi.new("uint32_t[]", count)
-        taken = self._library.native_take(self._native.handle, self._numbers[source], items, count)
+        taken = self._library.native_take(self._native.handle, self.number, items, count)
         self._native.engine.raise_now()
         return list(items[0:taken])
 
-    def give(self, source: str, items: Sequence[int]) -> None:
+    def give(self, items: Sequence[int]) -> None:
         """Write items to memory; no more than are available unless the stream is circular."""
-        self._library.native_give(self._native.handle, self._numbers[source], list(items), len(items))
+        self._library.native_give(self._native.handle, self.number, list(items), len(items))
         self._native.engine.raise_now()
+
+
+class DmaSystem:
+    """Both controllers, and the requests by name. C's numbers up to PYTHON_SOURCE are of drivers in C."""
+
+    def __init__(self, native: Native) -> None:
+        self.controllers = {number: Dma(native, number, self) for number in (1, 2)}
+        self.devices: dict[str, Device] = {}  # all of the board, by name
+        self.names: dict[int, str] = {}  # of requests
+        self.requests: dict[str, Request] = {}
+        self._native, self._library = native, native.library
+        for name in ("SPI1_RX", "SPI1_TX", "SPI3_RX", "SPI3_TX"):
+            self.request(name, getattr(self._library, name))
+
+    def request(self, name: str, number: int) -> Request:
+        """Let C call the request `name` by `number`."""
+        self.names[number], self.requests[name] = name, Request(self._native, number)
+        return self.requests[name]
+
+    def connect(self, name: str, driver: Driver, *, lazy: bool = False) -> Request:
+        """Let `driver` make the request `name`, e.g. "USART1_RX". lazy: not at each wake."""
+        number = max(self._library.PYTHON_SOURCE, *(known + 1 for known in self.names))
+        self._native.drivers[number] = driver
+        if lazy:
+            self._library.native_lazy(self._native.handle, number)
+        return self.request(name, number)
+
+    def drive(self, controller: int, stream: int, names: Sequence[str]) -> None:
+        """Let the requests `names` drive a stream that is about to be enabled."""
+        for place, name in enumerate(names):
+            number = self.requests[name].number
+            self._library.native_set_source(self._native.handle, controller - 1, stream, place, number)

@@ -9,9 +9,8 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from enum import Enum, auto
-from typing import Any
 
-from neuroflight.sim.board.core.context import Context
+from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.peripherals.option_bytes import OptionBytes
 from neuroflight.sim.board.peripherals.rcc import MICROSECOND
 from neuroflight.sim.board.registers.bus import Device, load_table
@@ -43,11 +42,14 @@ class Cut(Enum):
 class Flash(Device):
     """The flash controller. CPU stores to flash reach it by `program`."""
 
-    kept = ("_keys", "_option_keys", "_pending", "operations", "options")
+    kept = (
+        *("words", "_keys", "_option_keys", "_pending"),
+        *("operations", "options", "cut_at", "cut"),
+    )
 
-    def __init__(self, context: Context, options: OptionBytes | None = None, seed: int = 0) -> None:
+    def __init__(self, engine: Engine, options: OptionBytes | None = None, seed: int = 0) -> None:
         self.options = options or OptionBytes()
-        super().__init__(context, "FLASH")
+        super().__init__(engine, "FLASH")
         self.on_latency: Callable[[], None] = lambda: None
         self.on_begin: Callable[[str], None] = lambda what: None  # gets what is about to be done; may fail
         self.operations = 0  # erasures, programmed units and option writes begun since the board was made
@@ -58,10 +60,10 @@ class Flash(Device):
         self._keys: list[int] = []
         self._option_keys: list[int] = []
         self._pending: tuple[str, int, int, int] | None = None  # kind, address, size, value
-        self._done = context.alarm("flash.done", self._finish)
-        self._cut = context.alarm("flash.cut", self._lose_power)
+        self._done = engine.alarm("flash.done", self._finish)
+        self._cut = engine.alarm("flash.cut", self._lose_power)
         self._load_options()
-        context.on_flash_store(self.program)
+        engine.on_flash_store(self.program)
 
     def reset(self) -> None:
         if self._pending:
@@ -71,11 +73,10 @@ class Flash(Device):
         self._keys, self._option_keys, self._pending = [], [], None
         self._done.cancel()
         self._cut.cancel()
-        self.context.flash_busy(None)
-        self.context.irq(self._irq, False)
+        self.engine.flash_busy(None)
+        self.engine.irq(self._irq, False)
 
     def latency(self) -> int:
-        """Return the wait states."""
         return self.get("ACR", "LATENCY")
 
     @property
@@ -85,7 +86,7 @@ class Flash(Device):
 
     def program(self, address: int, size: int, value: int) -> None:
         """Store `value` of `size` bytes from the CPU to flash at `address`, through the AXI bus."""
-        fail, where = self.context.fail, f"flash at 0x{address:08X}"
+        fail, where = self.engine.fail, f"flash at 0x{address:08X}"
         if not FLASH_BASE <= address <= FLASH_BASE + FLASH_BYTES - size:
             fail(f"{where} is written, expected 0x{FLASH_BASE:08X} and up: its alias is read-only")
         if self._pending:
@@ -103,7 +104,7 @@ class Flash(Device):
         if self.options.protects(_sector_of(address)):
             self._raise("WRPERR")
             return
-        old = int.from_bytes(self.context.memory(address, size), "little")
+        old = int.from_bytes(self.engine.memory(address, size), "little")
         if value & ~old:
             fail(
                 f"{where} is 0x{old:0{2 * size}X} and is to become 0x{value:0{2 * size}X}: "
@@ -115,7 +116,7 @@ class Flash(Device):
 
     def write_acr(self, value: int) -> None:
         if value & self.mask("ACR", "ARTRST") and self.get("ACR", "ARTEN"):
-            self.context.fail("FLASH_ACR ARTRST is set while ARTEN is 1, expected the accelerator off")
+            self.engine.fail("FLASH_ACR ARTRST is set while ARTEN is 1, expected the accelerator off")
         self.keep("ACR", value)
         self.on_latency()
 
@@ -132,13 +133,8 @@ class Flash(Device):
         self._update_irq()
 
     def write_cr(self, value: int) -> None:
-        fail = self.context.fail
-        if self.get("CR", "LOCK"):
-            if value != self.words["CR"]:
-                fail("FLASH_CR is written while it is locked, expected both keys in FLASH_KEYR before")
+        if not self._opens("CR", "LOCK", "KEYR", value):
             return
-        if self._pending:
-            fail("FLASH_CR is written while the controller is busy, expected FLASH_SR BSY 0 before")
         self.words["CR"] = value & ~self.mask("CR", "STRT")
         if self.get("CR", "LOCK"):
             self._keys = []
@@ -147,23 +143,30 @@ class Flash(Device):
         self._update_irq()
 
     def write_optcr(self, value: int) -> None:
-        fail = self.context.fail
-        if self.get("OPTCR", "OPTLOCK"):
-            if value != self.words["OPTCR"]:
-                fail("FLASH_OPTCR is written while it is locked, expected both keys in FLASH_OPTKEYR before")
+        if not self._opens("OPTCR", "OPTLOCK", "OPTKEYR", value):
             return
-        if self._pending:
-            fail("FLASH_OPTCR is written while the controller is busy, expected FLASH_SR BSY 0 before")
         self.words["OPTCR"] = value & ~self.mask("OPTCR", "OPTSTRT")
         if value & self.mask("OPTCR", "OPTLOCK"):
             self._option_keys = []
         if value & self.mask("OPTCR", "OPTSTRT"):
-            if self.get("OPTCR", "RDP") != _UNPROTECTED:
-                fail(f"option bytes: RDP 0x{self.get('OPTCR', 'RDP'):02X} would lock the chip, expected 0xAA")
+            rdp = self.get("OPTCR", "RDP")
+            if rdp != _UNPROTECTED:
+                self.engine.fail(f"option bytes: RDP 0x{rdp:02X} would lock the chip, expected 0xAA")
             self._begin(("options", 0, 0, 0), _OPTIONS_MS * _MILLISECOND)
 
+    def _opens(self, register: str, lock: str, keys: str, value: int) -> bool:
+        """Return whether `register` takes `value`: while it is locked only what it holds may be written."""
+        fail, written = self.engine.fail, f"FLASH_{register} is written"
+        if self.get(register, lock):
+            if value != self.words[register]:
+                fail(f"{written} while it is locked, expected both keys in FLASH_{keys} before")
+            return False
+        if self._pending:
+            fail(f"{written} while the controller is busy, expected FLASH_SR BSY 0 before")
+        return True
+
     def _start(self) -> None:
-        fail, parallel = self.context.fail, self.get("CR", "PSIZE")
+        fail, parallel = self.engine.fail, self.get("CR", "PSIZE")
         if parallel == 3:
             fail("FLASH_CR PSIZE is 3, which needs an external voltage; expected 0, 1 or 2")
         modes = [name for name in ("PG", "SER", "MER") if self.get("CR", name)]
@@ -187,7 +190,7 @@ class Flash(Device):
         self, given: list[int], keys: tuple[int, int], value: int, name: str, register: str, lock: str
     ) -> None:
         if not self.get(register, lock) or value != keys[len(given)]:
-            self.context.fail(
+            self.engine.fail(
                 f"{name} = 0x{value:08X}, expected 0x{keys[len(given) % 2]:08X} while locked: "
                 f"the chip stays locked until reset"
             )
@@ -197,13 +200,13 @@ class Flash(Device):
             self.put(register, lock, 0)
 
     def _begin(self, operation: tuple[str, int, int, int], cycles: int) -> None:
-        now = self.context.cycle
+        now = self.engine.cycle
         kind, address, _, _ = operation
         verb = {"program": "programmed", "erase": "erased"}.get(kind)
         self.on_begin("option bytes are written" if verb is None else f"flash at 0x{address:08X} is {verb}")
         self._pending = operation
         self.put("SR", "BSY", 1)
-        self.context.flash_busy(now + cycles)
+        self.engine.flash_busy(now + cycles)
         self._done.set(now + cycles)
         if self.operations == self.cut_at:
             self._cut.set(now + cycles // 2)
@@ -214,12 +217,12 @@ class Flash(Device):
         kind, address, size, value = self._pending
         self._pending = None
         self.put("SR", "BSY", 0)
-        self.context.flash_busy(None)
+        self.engine.flash_busy(None)
         if kind == "program":
-            old = int.from_bytes(self.context.memory(address, size), "little")
-            self.context.set_memory(address, (old & value).to_bytes(size, "little"))
+            old = int.from_bytes(self.engine.memory(address, size), "little")
+            self.engine.set_memory(address, (old & value).to_bytes(size, "little"))
         elif kind == "erase":
-            self.context.set_memory(address, b"\xff" * size)
+            self.engine.set_memory(address, b"\xff" * size)
         else:
             self.options = self.options.with_registers(
                 self.words["OPTCR"], self.words["OPTCR1"], self.words["OPTCR2"]
@@ -231,7 +234,7 @@ class Flash(Device):
     def _lose_power(self) -> None:
         self.cut_at = None
         self._spoil()
-        self.context.system_reset("power")
+        self.engine.system_reset("power")
 
     def _spoil(self) -> None:
         """Interrupt the present operation: of the bits that were to change, arbitrary ones have."""
@@ -240,10 +243,10 @@ class Flash(Device):
         self._pending = None
         self._done.cancel()
         if kind != "options":
-            old = int.from_bytes(self.context.memory(address, size), "little")
+            old = int.from_bytes(self.engine.memory(address, size), "little")
             new = old & value if kind == "program" else (1 << 8 * size) - 1
             left = _torn(self.cut, old, new, size, random.Random(self._seed * 1_000_003 + self.operations))
-            self.context.set_memory(address, left.to_bytes(size, "little"))
+            self.engine.set_memory(address, left.to_bytes(size, "little"))
 
     def _raise(self, error: str) -> None:
         self.put("SR", error, 1)
@@ -253,18 +256,11 @@ class Flash(Device):
 
     def _update_irq(self) -> None:
         end = self.get("SR", "EOP") and self.get("CR", "EOPIE")
-        self.context.irq(self._irq, bool(end or (self.get("SR", "OPERR") and self.get("CR", "ERRIE"))))
+        self.engine.irq(self._irq, bool(end or (self.get("SR", "OPERR") and self.get("CR", "ERRIE"))))
 
     def _load_options(self) -> None:
         self.words["OPTCR"] = self.options.optcr | self.mask("OPTCR", "OPTLOCK")
         self.words["OPTCR1"], self.words["OPTCR2"] = self.options.optcr1, self.options.optcr2
-
-    def state(self) -> Any:  # noqa: ANN401
-        return {**super().state(), "cut_at": self.cut_at, "cut": self.cut}
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        super().restore(state)
-        self.cut_at, self.cut = state["cut_at"], state["cut"]
 
 
 def _torn(cut: Cut, old: int, new: int, size: int, rng: random.Random) -> int:

@@ -73,7 +73,6 @@ class Pins:
         self._native = native
 
     def drive(self, name: str, level: bool) -> None:
-        """Put `level` on a pin from the board."""
         self._native.library.native_drive(self._native.handle, *_place(name), level)
 
     def watch(self, name: str, listener: Callable[[bool], None]) -> None:
@@ -93,9 +92,8 @@ class Pins:
             right, expected = (mode, function) == (_ALTERNATE, wanted), f"alternate function {wanted}"
         if not right:
             is_ = f"{_MODES[mode]} {function}" if mode == _ALTERNATE else _MODES[mode]
-            port.context.fail(f"{user}: P{letter}{pin} is {is_}, expected {expected} ({signal})")
+            port.engine.fail(f"{user}: P{letter}{pin} is {is_}, expected {expected} ({signal})")
 
 
 def _place(name: str) -> tuple[int, int]:
-    """Return the numbers of port and pin."""
     return PORTS.index(name[1]), int(name[2:])

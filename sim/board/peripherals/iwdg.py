@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from neuroflight.sim.board.core.context import TIME_HZ
-from neuroflight.sim.board.core.engine import NEVER
+from neuroflight.sim.board.core.engine import NEVER, Alarm
 from neuroflight.sim.board.native.library import Native
 from neuroflight.sim.board.peripherals.rcc import LSI_HZ
 from neuroflight.sim.board.registers.bus import WINDOW, Device, Register
@@ -20,17 +20,17 @@ class Iwdg(Device):
     C feeds it while it runs (native/c/watchdog.c), and has what that needs.
     """
 
-    kept = ("_prescaler", "_reload")
+    kept = ("words", "_prescaler", "_reload")
 
     def __init__(self, native: Native) -> None:
-        context = native.engine
-        super().__init__(context, "IWDG")
+        engine = native.engine
+        super().__init__(engine, "IWDG")
         self._native = native
-        self.on_timeout: Callable[[], None] = lambda: context.system_reset("iwdg")
+        self.on_timeout: Callable[[], None] = lambda: engine.system_reset("iwdg")
         self.by_hardware: Callable[[], bool] = lambda: False  # runs from reset on, by the option bytes
-        self._timeout = context.alarm("iwdg.timeout", self._miss)
-        self._pr_done = context.alarm("iwdg.pr", self._take_prescaler)
-        self._rlr_done = context.alarm("iwdg.rlr", self._take_reload)
+        self._timeout = engine.alarm("iwdg.timeout", lambda: self.on_timeout())
+        self._pr_done = engine.alarm("iwdg.pr", self._take_prescaler)
+        self._rlr_done = engine.alarm("iwdg.rlr", self._take_reload)
         self._in_c = native.library.native_watchdog(native.handle, self._timeout.number)
         self._stop()
 
@@ -63,7 +63,6 @@ class Iwdg(Device):
 
     @property
     def feeds(self) -> int:
-        """Number of feeds."""
         return int(self._in_c.feeds)
 
     @property
@@ -79,7 +78,7 @@ class Iwdg(Device):
         if not self._in_c.period:
             self._in_c.period = self._ticks(self._reload + 1)
             self._in_c.feeds += 1
-            self._timeout.set(self.context.cycle + self._in_c.period)
+            self._timeout.set(self.engine.cycle + self._in_c.period)
 
     def write_kr(self, value: int) -> None:
         """Handle a write that does not feed a running watchdog."""
@@ -88,33 +87,30 @@ class Iwdg(Device):
         if value == _START:
             self._start()
         elif value not in (_UNLOCK, _RELOAD):
-            self.context.fail(f"IWDG_KR = 0x{value:04X}, expected 0xAAAA, 0x5555 or 0xCCCC")
+            self.engine.fail(f"IWDG_KR = 0x{value:04X}, expected 0xAAAA, 0x5555 or 0xCCCC")
 
     def write_pr(self, value: int) -> None:
-        self._update("PR", "PVU", value)
-        self._pr_done.set(self.context.cycle + self._ticks(_UPDATE_TICKS))
+        self._update("PR", "PVU", value, self._pr_done)
 
     def write_rlr(self, value: int) -> None:
-        self._update("RLR", "RVU", value)
-        self._rlr_done.set(self.context.cycle + self._ticks(_UPDATE_TICKS))
+        self._update("RLR", "RVU", value, self._rlr_done)
 
-    def _update(self, register: str, flag: str, value: int) -> None:
+    def _update(self, register: str, flag: str, value: int, done: Alarm) -> None:
         if not self._in_c.unlocked:
-            self.context.fail(
-                f"IWDG_{register} is written while it is locked, expected IWDG_KR 0x5555 before"
-            )
+            self.engine.fail(f"IWDG_{register} is written while it is locked, expected IWDG_KR 0x5555 before")
         if self.get("SR", flag):
-            self.context.fail(f"IWDG_{register} is written while IWDG_SR {flag} is 1, expected 0")
+            self.engine.fail(f"IWDG_{register} is written while IWDG_SR {flag} is 1, expected 0")
         self.keep(register, value)
         self.put("SR", flag, 1)
+        done.set(self.engine.cycle + self._ticks(_UPDATE_TICKS))
 
     def _take_prescaler(self) -> None:
         self.put("SR", "PVU", 0)
         left = self._timeout.due
-        ticks = 0 if left is None else (left - self.context.cycle) // self._ticks(1)
+        ticks = 0 if left is None else (left - self.engine.cycle) // self._ticks(1)
         self._prescaler = 4 << min(self.words["PR"], 6)
         if left is not None:
-            self._timeout.set(self.context.cycle + ticks * self._ticks(1))
+            self._timeout.set(self.engine.cycle + ticks * self._ticks(1))
         self._change_period()
 
     def _take_reload(self) -> None:
@@ -128,6 +124,3 @@ class Iwdg(Device):
 
     def _ticks(self, count: int) -> int:
         return count * self._prescaler * TIME_HZ // LSI_HZ
-
-    def _miss(self) -> None:
-        self.on_timeout()

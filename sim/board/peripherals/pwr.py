@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from neuroflight.sim.board.core.context import Context
+from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.peripherals.rcc import MICROSECOND
 from neuroflight.sim.board.registers.bus import Device
 
@@ -19,15 +19,15 @@ _PVD_MV = (2000, 2100, 2300, 2500, 2600, 2700, 2800, 2900)  # PLS 0..7, falling 
 class Pwr(Device):
     """The power control. `pll` returns whether the PLL is on and whether the core runs from it."""
 
-    kept = ("supply_mv",)
+    kept = ("words", "supply_mv")
 
-    def __init__(self, context: Context) -> None:
-        super().__init__(context, "PWR")
+    def __init__(self, engine: Engine) -> None:
+        super().__init__(engine, "PWR")
         self.pll: Callable[[], tuple[bool, bool]] = lambda: (False, False)
         self.on_change: Callable[[], None] = lambda: None
         self.supply_mv = SUPPLY_MV
-        self._ready = context.alarm("pwr.overdrive", lambda: self.put("CSR1", "ODRDY", 1))
-        self._switched = context.alarm("pwr.switch", self._become_switched)
+        self._ready = engine.alarm("pwr.overdrive", lambda: self.put("CSR1", "ODRDY", 1))
+        self._switched = engine.alarm("pwr.switch", self._become_switched)
         self.put("CSR1", "VOSRDY", 1)
 
     def reset(self) -> None:
@@ -43,7 +43,7 @@ class Pwr(Device):
 
     def write_cr1(self, value: int) -> None:
         changed = self.keep("CR1", value)
-        fail, now = self.context.fail, self.context.cycle
+        fail, now = self.engine.fail, self.engine.cycle
         pll_on, pll_used = self.pll()
         if changed & self.mask("CR1", "VOS"):
             if self.get("CR1", "VOS") == 0:

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
-from neuroflight.sim.board.core.context import TIME_HZ, Context
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.registers.bus import Device, load_table
 
 HSI_HZ = 16_000_000
@@ -58,10 +60,10 @@ class Clocks:
 class Rcc(Device):
     """Reset and clock control. `latency` and `scale` are read when a clock is about to change."""
 
-    kept = ("crystal_dead", "clocks")
+    kept = ("words", "crystal_dead", "clocks")
 
-    def __init__(self, context: Context) -> None:
-        super().__init__(context, "RCC")
+    def __init__(self, engine: Engine) -> None:
+        super().__init__(engine, "RCC")
         self.latency: Callable[[], int] = lambda: 15  # flash wait states
         self.scale: Callable[[], tuple[int, bool]] = lambda: (1, True)  # regulator scale, over-drive switched
         self.detects_brown_out: Callable[[], bool] = lambda: True  # by a threshold in the option bytes
@@ -71,23 +73,24 @@ class Rcc(Device):
         self._irq = load_table().interrupt("RCC")
         self._gated: dict[str, Device] = {}
         self._ready = {
-            "HSIRDY": context.alarm("rcc.hsi", lambda: self._become_ready("HSIRDY")),
-            "HSERDY": context.alarm("rcc.hse", lambda: self._become_ready("HSERDY")),
-            "PLLRDY": context.alarm("rcc.pll", lambda: self._become_ready("PLLRDY")),
-            "LSIRDY": context.alarm("rcc.lsi", lambda: self._become_ready("LSIRDY")),
+            f"{name}RDY": engine.alarm(f"rcc.{name.lower()}", partial(self._become_ready, f"{name}RDY"))
+            for name in ("HSI", "HSE", "PLL", "LSI")
         }
-        context.on_system_reset(self._note_cause)
+        for enables, resets in _ENABLES.items():
+            setattr(self, f"write_{enables.lower()}", partial(self._enable_devices, enables))
+            setattr(self, f"write_{resets.lower()}", partial(self._reset_devices, resets))
+        engine.on_system_reset(self._note_cause)
         self.clocks = self._tree()
 
     def govern(self, devices: dict[str, Device]) -> None:
         """Let `devices` run only while their enable bit is set."""
-        for register, resets in _ENABLES.items():
+        for register in _ENABLES:
             for field in self.block.registers[register].fields.values():
-                for name in _SHARED.get(field.name.removesuffix("EN"), (field.name.removesuffix("EN"),)):
+                owner = field.name.removesuffix("EN")
+                for name in _SHARED.get(owner, (owner,)):
                     if field.modelled and name in devices:
                         devices[name].gate = f"RCC_{register} {field.name}"
                         self._gated[name] = devices[name]
-            assert resets in self.block.registers
         self._spread_enables()
 
     def reset(self) -> None:
@@ -113,7 +116,7 @@ class Rcc(Device):
         runs_on_it = self._uses_crystal()
         if not self.get("CR", "CSSON"):
             if runs_on_it:
-                self.context.fail(
+                self.engine.fail(
                     "the crystal failed and RCC_CR CSSON is 0: the core stands still, expected the clock "
                     "security system on before the core depends on HSE"
                 )
@@ -129,12 +132,12 @@ class Rcc(Device):
             self.put("CFGR", "SWS", _HSI)
         self.put("CIR", "CSSF", 1)
         self._change_clocks()
-        self.context.nmi()
+        self.engine.nmi()
 
     def check(self) -> None:
         """Check the clocks against the limits of flash, regulator and buses. Called whenever one changes."""
         clocks, (scale, over_drive) = self.clocks, self.scale()
-        fail = self.context.fail
+        fail = self.engine.fail
         needed = wait_states(clocks.core)
         if self.latency() < needed:
             fail(
@@ -154,11 +157,10 @@ class Rcc(Device):
                 )
 
     def kernel_clock(self, name: str) -> int:
-        """Return the clock [Hz] that a USART divides."""
         select = self.get("DCKCFGR2", f"{name}SEL")
         bus = self.clocks.apb2 if name in ("USART1", "USART6") else self.clocks.apb1
         if select == 3:
-            self.context.fail(f"{name} is clocked by LSE, which this board does not have")
+            self.engine.fail(f"{name} is clocked by LSE, which this board does not have")
         return (bus, self.clocks.core, HSI_HZ)[select]
 
     # What the image writes
@@ -178,26 +180,24 @@ class Rcc(Device):
 
     def write_pllcfgr(self, value: int) -> None:
         if self.keep("PLLCFGR", value) and self.get("CR", "PLLON"):
-            self.context.fail("RCC_PLLCFGR is changed while the PLL is on, expected RCC_CR PLLON 0")
+            self.engine.fail("RCC_PLLCFGR is changed while the PLL is on, expected RCC_CR PLLON 0")
 
     def write_cfgr(self, value: int) -> None:
         self.keep("CFGR", value)
         source = self.get("CFGR", "SW")
         if source == 3:
-            self.context.fail("RCC_CFGR SW is 3, expected 0 (HSI), 1 (HSE) or 2 (PLL)")
+            self.engine.fail("RCC_CFGR SW is 3, expected 0 (HSI), 1 (HSE) or 2 (PLL)")
         if not self.get("CR", f"{_SOURCES[source]}RDY"):
-            self.context.fail(f"the core is switched to {_SOURCES[source]}, which is not ready")
+            self.engine.fail(f"the core is switched to {_SOURCES[source]}, which is not ready")
         self.put("CFGR", "SWS", source)
         self._change_clocks()
 
     def write_cir(self, value: int) -> None:
         self.keep("CIR", value)
         for field in self.block.registers["CIR"].fields.values():
-            if field.access == "w" and value & field.mask:
+            if field.access == "w" and value & field.mask:  # it clears a flag, and itself
                 self.put("CIR", f"{field.name[:-1]}F", 0)
-        self.words["CIR"] &= ~sum(
-            f.mask for f in self.block.registers["CIR"].fields.values() if f.access == "w"
-        )
+                self.put("CIR", field.name, 0)
         self._update_irq()
 
     def write_csr(self, value: int) -> None:
@@ -207,31 +207,10 @@ class Rcc(Device):
             self.words["CSR"] &= self.mask("CSR", "LSION", "LSIRDY")
         if (before ^ value) & self.mask("CSR", "LSION"):
             if value & self.mask("CSR", "LSION"):
-                self._ready["LSIRDY"].set(self.context.cycle + LSI_START)
+                self._ready["LSIRDY"].set(self.engine.cycle + LSI_START)
             else:
                 self._ready["LSIRDY"].cancel()
                 self.put("CSR", "LSIRDY", 0)
-
-    def write_ahb1enr(self, value: int) -> None:
-        self.keep("AHB1ENR", value)
-        self._spread_enables()
-
-    def write_apb1enr(self, value: int) -> None:
-        self.keep("APB1ENR", value)
-        self._spread_enables()
-
-    def write_apb2enr(self, value: int) -> None:
-        self.keep("APB2ENR", value)
-        self._spread_enables()
-
-    def write_ahb1rstr(self, value: int) -> None:
-        self._reset_devices("AHB1RSTR", value)
-
-    def write_apb1rstr(self, value: int) -> None:
-        self._reset_devices("APB1RSTR", value)
-
-    def write_apb2rstr(self, value: int) -> None:
-        self._reset_devices("APB2RSTR", value)
 
     def write_dckcfgr1(self, value: int) -> None:
         self.keep("DCKCFGR1", value)
@@ -252,10 +231,10 @@ class Rcc(Device):
         """Switch an oscillator on, ready after `delay` cycles (None: never), or off."""
         if self.get("CR", enable):
             if delay is not None:
-                self._ready[ready].set(self.context.cycle + delay)
+                self._ready[ready].set(self.engine.cycle + delay)
             return
         if in_use:
-            self.context.fail(f"{name} is switched off while the core runs from it")
+            self.engine.fail(f"{name} is switched off while the core runs from it")
         self._ready[ready].cancel()
         self.put("CR", ready, 0)
 
@@ -267,7 +246,7 @@ class Rcc(Device):
 
     def _update_irq(self) -> None:
         # Flags HSIRDYF.. lie at bits 0.., their enables at bits 8.. (RM0431 5.3.4).
-        self.context.irq(self._irq, bool(self.words["CIR"] & self.words["CIR"] >> 8 & 0x7F))
+        self.engine.irq(self._irq, bool(self.words["CIR"] & self.words["CIR"] >> 8 & 0x7F))
 
     def _uses_crystal(self) -> bool:
         source = self.get("CFGR", "SWS")
@@ -277,16 +256,16 @@ class Rcc(Device):
         crystal = self.get("PLLCFGR", "PLLSRC")
         source = "HSE" if crystal else "HSI"
         if not self.get("CR", f"{source}RDY"):
-            self.context.fail(f"the PLL is switched on before its source {source} is ready")
+            self.engine.fail(f"the PLL is switched on before its source {source} is ready")
         m, n, q = (self.get("PLLCFGR", field) for field in ("PLLM", "PLLN", "PLLQ"))
         if m < 2 or not 50 <= n <= 432 or q < 2:
-            self.context.fail(
+            self.engine.fail(
                 f"PLLM is {m}, PLLN {n}, PLLQ {q}; expected 2 to 63, 50 to 432 and 2 to 15 (RM0431 5.3.2)"
             )
         base = (HSE_HZ if crystal else HSI_HZ) / m
         for name, hz, (least, most) in (("input", base, _VCO_IN), ("output", base * n, _VCO_OUT)):
             if not least <= hz <= most:
-                self.context.fail(
+                self.engine.fail(
                     f"the PLL's VCO {name} is {_mhz(hz)}, expected {_mhz(least)} to {_mhz(most)}"
                 )
 
@@ -312,9 +291,13 @@ class Rcc(Device):
             return
         self.clocks = clocks
         self.check()
-        self.context.core_clock(clocks.core)
+        self.engine.core_clock(clocks.core)
         for listener in self.on_clocks:
             listener(clocks)
+
+    def _enable_devices(self, register: str, value: int) -> None:
+        self.keep(register, value)
+        self._spread_enables()
 
     def _spread_enables(self) -> None:
         for device in self._gated.values():

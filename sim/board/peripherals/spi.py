@@ -3,21 +3,10 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
-from typing import Any, NoReturn, Protocol
 
 from neuroflight.sim.board.native.library import Native, NativeDevice
 from neuroflight.sim.board.peripherals.gpio import Pins
 from neuroflight.sim.board.registers.bus import load_table
-
-
-class SpiSlave(Protocol):
-    """The chip on the bus."""
-
-    def exchange(self, sent: Sequence[int], transaction: int, hz: float, mode: int) -> bytes:
-        """Exchange bytes. transaction: its number; hz: of the clock; mode: 0..3."""
-        ...
-
 
 SPIS = ("SPI1", "SPI3")  # in C's order
 
@@ -31,26 +20,14 @@ class Spi(NativeDevice):
         super().__init__(native, name, lib.SPI, SPIS.index(name), alarm=alarm, interrupts=(irq,))
         self._pins = pins
         self.queries = {
-            lib.QUERY_SEND: lambda a, b: self.validate(),
-            lib.QUERY_BUSY: lambda a, b: self.reject_busy(),
-            lib.QUERY_FULL: lambda a, b: self.reject_full(),
+            lib.QUERY_SEND: lambda a, b: self._validate(),
+            lib.QUERY_BUSY: "{name}_CR1 is changed while a transfer is under way, expected {name}_SR BSY 0",
+            lib.QUERY_FULL: "{name}_DR is written while its FIFO is full, expected {name}_SR TXE before",
         }
 
-    def reject_busy(self) -> NoReturn:
-        """Fail: CR1 is changed during a transfer."""
-        self.context.fail(
-            f"{self.name}_CR1 is changed while a transfer is under way, expected {self.name}_SR BSY 0"
-        )
-
-    def reject_full(self) -> NoReturn:
-        """Fail: DR is written while the FIFO is full."""
-        self.context.fail(
-            f"{self.name}_DR is written while its FIFO is full, expected {self.name}_SR TXE before"
-        )
-
-    def validate(self) -> None:
+    def _validate(self) -> None:
         """Fail unless all is set up for bytes to be sent."""
-        name, fail = self.name, self.context.fail
+        name, fail = self.name, self.engine.fail
         if not self.get("CR1", "MSTR"):
             fail(f"{name} sends with CR1 MSTR 0, expected a master")
         if not (self.get("CR1", "SSM") and self.get("CR1", "SSI")):
@@ -69,13 +46,14 @@ class Spi(NativeDevice):
 
 
 class GyroSpi(Spi):
-    """SPI1 with the gyro chip, and bit errors on received bytes."""
+    """SPI1, behind which C finds the gyro chip, and bit errors on received bytes."""
 
-    def __init__(self, native: Native, pins: Pins, slave: SpiSlave, seed: int = 0) -> None:
+    kept = ("_random", "bit_error_rate")
+
+    def __init__(self, native: Native, pins: Pins, seed: int = 0) -> None:
         super().__init__(native, "SPI1", pins)
         self._random = random.Random(seed)
         self._bit_error_rate = 0.0
-        native.on_exchange = slave.exchange
         native.on_errors = self._with_errors
 
     @property
@@ -89,16 +67,7 @@ class GyroSpi(Spi):
         self.native.library.native_bit_errors(self.native.handle, rate > 0.0)
 
     def _with_errors(self, received: bytes) -> bytes:
-        return bytes(self._with_bit_errors(byte) for byte in received)
-
-    def _with_bit_errors(self, byte: int) -> int:
-        for bit in range(8):
-            byte ^= (self._random.random() < self._bit_error_rate) << bit
-        return byte
-
-    def state(self) -> Any:  # noqa: ANN401
-        return {"rate": self._bit_error_rate, "random": self._random.getstate()}
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        self.bit_error_rate = state["rate"]
-        self._random.setstate(state["random"])
+        return bytes(
+            byte ^ sum((self._random.random() < self._bit_error_rate) << bit for bit in range(8))
+            for byte in received
+        )

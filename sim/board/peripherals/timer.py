@@ -16,6 +16,7 @@ CHANNELS = 4
 _UPDATE_IRQ = {"TIM1": "TIM1_UP_TIM10", "TIM8": "TIM8_UP_TIM13"}
 _PWM_1 = 6  # OCxM: high while the counter is below the compare value
 _CCR1 = 13  # DCR counts words from CR1
+_FED = ("CCR", "ARR", "PSC")  # what registers that DMA may write begin with
 
 # Called with the cycle at which the first period began, its length and the high time of each [cycles].
 Output = Callable[[int, int, Sequence[int]], None]
@@ -31,15 +32,16 @@ class Timer(NativeDevice):
             native, name, lib.TIMER, place,
             alarm=f"{name.lower()}.update", interrupts=(irq,), advanced=name in ADVANCED,
         )  # fmt: skip
-        self._dma, self._pins = dma, pins
+        self._pins = pins
         self.outputs: dict[int, Output] = {}  # by channel 1..4; get pulses that are no plain frame
-        self._sources = (f"{name}_UP", *(f"{name}_CH{i}" for i in range(1, CHANNELS + 1)))
-        for i, source in enumerate(self._sources):
-            dma.number(source, lib.TIMER_SOURCE + len(self._sources) * place + i)
+        first = lib.TIMER_SOURCE + (1 + CHANNELS) * place
+        self._update = dma.request(f"{name}_UP", first)
+        self._channels = [dma.request(f"{name}_CH{i}", first + i) for i in range(1, 1 + CHANNELS)]
         self.queries = {
-            lib.QUERY_OUTPUT: lambda channel, _: self.validate_output(channel),
-            lib.QUERY_TARGET: lambda request, _: self.targets(self._sources[request]),
-            lib.QUERY_COMPARE: lambda channel, _: self._reject_compare(channel),
+            lib.QUERY_OUTPUT: lambda channel, _: self._validate_output(channel),
+            lib.QUERY_TARGET: lambda request, _: self._validate_targets(request),
+            lib.QUERY_COMPARE: "{name}_DIER CC{a}DE with CR2 CCDS 0: requests at compare are not modelled, "
+            "expected CCDS 1",
             lib.QUERY_DMAR: lambda write, _: self._reject_dmar(bool(write)),
         }
 
@@ -47,44 +49,37 @@ class Timer(NativeDevice):
         if channel in self.outputs:
             self.outputs[channel](start, length, highs)
 
-    def _reject_compare(self, channel: int) -> NoReturn:
-        """Fail: a channel's request without CCDS."""
-        self.context.fail(
-            f"{self.name}_DIER CC{channel}DE with CR2 CCDS 0: requests at compare are not modelled, "
-            f"expected CCDS 1"
-        )
-
     def _reject_dmar(self, write: bool) -> NoReturn:
         if write:
-            self.context.fail(f"{self.name}_DMAR is written by the program, expected by DMA")
-        self.context.fail(f"{self.name}_DMAR is read, expected DMA to write it")
+            self.engine.fail(f"{self.name}_DMAR is written by the program, expected by DMA")
+        self.engine.fail(f"{self.name}_DMAR is read, expected DMA to write it")
 
-    def validate_output(self, channel: int) -> None:
+    def _validate_output(self, channel: int) -> None:
         """Fail unless channel 1..4 may make pulses."""
         register = "CCMR1" if channel < 3 else "CCMR2"
         mode = self.get(register, f"OC{channel}M")
         signal = f"{self.name}_CH{channel}"
         if self.name in ADVANCED and not self.get("BDTR", "MOE"):
-            self.context.fail(f"{signal} makes pulses while {self.name}_BDTR MOE is 0, expected 1")
+            self.engine.fail(f"{signal} makes pulses while {self.name}_BDTR MOE is 0, expected 1")
         if mode != _PWM_1:
-            self.context.fail(f"{signal} is driven with OC{channel}M {mode}, expected 6: PWM mode 1")
+            self.engine.fail(f"{signal} is driven with OC{channel}M {mode}, expected 6: PWM mode 1")
         if signal not in SIGNALS:
-            self.context.fail(f"{signal} makes pulses, but the board leads it to no pin")
+            self.engine.fail(f"{signal} makes pulses, but the board leads it to no pin")
         self._pins.expect(signal, f"{self.name} makes pulses on channel {channel}")
 
-    def targets(self, source: str) -> list[str]:
-        """Return the targets of one request: a register, or a burst of them through DMAR."""
-        offset = self._dma.target(source) - self.block.base
+    def _validate_targets(self, request: int) -> None:
+        """Fail unless a request feeds registers that it may: one, or a burst of them through DMAR."""
+        asks = (self._update, *self._channels)[request]
         names = {r.offset: r.name for r in self.block.registers.values()}
-        name = names.get(offset)
+        name = names.get(asks.target - self.block.base)
         if name != "DMAR":
-            if name is None or not name.startswith(("CCR", "ARR", "PSC")):
-                self.context.fail(f"{source} feeds {name or 'pins'}, expected a CCR, ARR, PSC or DMAR")
-            return [name]
+            if name is None or not name.startswith(_FED):
+                source = f"{self.name}_{f'CH{request}' if request else 'UP'}"
+                self.engine.fail(f"{source} feeds {name or 'pins'}, expected a CCR, ARR, PSC or DMAR")
+            return
         first, count = self.get("DCR", "DBA"), self.get("DCR", "DBL") + 1
         burst = [names.get(4 * (first + i), "?") for i in range(count)]
-        if any(not n.startswith(("CCR", "ARR", "PSC")) for n in burst):
-            self.context.fail(
+        if not all(one.startswith(_FED) for one in burst):
+            self.engine.fail(
                 f"{self.name}_DCR bursts into {', '.join(burst)}, expected ARR, PSC or CCR1 ({_CCR1}) and on"
             )
-        return burst

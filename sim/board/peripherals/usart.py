@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from neuroflight.sim.board.core.context import TIME_HZ, Context
+from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.peripherals.dma import DmaSystem
 from neuroflight.sim.board.peripherals.gpio import Pins
 from neuroflight.sim.board.registers.bus import Device, load_table
@@ -26,6 +27,10 @@ _FIXED = {
     "CR3": ("HDSEL", "ONEBIT", "OVRDIS", "DDRE"),
     "BRR": ("BRR",),
 }
+
+
+# What interrupts: the bit of CR1 that lets it, and flags of ISR.
+_CAUSES = {"RXNEIE": _RXNE | _ORE, "IDLEIE": _IDLE, "TCIE": _TC, "TXEIE": _TXE, "PEIE": _PE}
 
 
 @dataclass(frozen=True)
@@ -67,48 +72,34 @@ class Usart(Device):
     """One USART."""
 
     kept = (
-        "_arriving", "_line_free", "_idle_at", "_received", "_holding", "_shifting", "_sent_at",
+        "words", "_arriving", "_line_free", "_idle_at", "_received", "_holding", "_shifting", "_sent_at",
         "_mismatches", "_lost", "sent",
     )  # fmt: skip
 
     def __init__(
-        self, context: Context, name: str, dma: DmaSystem, pins: Pins, clock: Callable[[str], int]
+        self, engine: Engine, name: str, dma: DmaSystem, pins: Pins, clock: Callable[[str], int]
     ) -> None:
-        super().__init__(context, name)
-        self._dma, self._pins, self._clock = dma, pins, clock
+        super().__init__(engine, name)
+        self._pins, self._clock = pins, clock
         self._irq = load_table().interrupt(name)
-        self._rx = context.alarm(f"{name.lower()}.rx", self._arrive)
-        self._tx = context.alarm(f"{name.lower()}.tx", self._sent)
-        self._idle = context.alarm(f"{name.lower()}.idle", self._update)
+        self._rx = engine.alarm(f"{name.lower()}.rx", self._arrive)
+        self._tx = engine.alarm(f"{name.lower()}.tx", self._sent)
+        self._idle = engine.alarm(f"{name.lower()}.idle", self._update)
         self.on_sent: Callable[[int], None] = lambda byte: None  # a byte has left the board
         # The program in the ROM polls: it takes a byte by its pin, to measure it, or finds one to read.
         self.on_measured: Callable[[int, Format], bool] = lambda byte, sender: False
         self.on_received: Callable[[], None] = lambda: None
         self._mismatches = self._lost = self.sent = 0
         # What would interrupt when bytes come or the line rests, of CR1 and CR3.
-        self._own_interrupts = (
-            self.mask("CR1", "RXNEIE", "IDLEIE", "PEIE"),
-            self.mask("CR3", "EIE"),
-        )
+        self._own_interrupts = (self.mask("CR1", "RXNEIE", "IDLEIE", "PEIE"), self.mask("CR3", "EIE"))
         self._receiver = self.mask("CR1", "UE", "RE")
         self._receiving_dma = self.mask("CR3", "DMAR")
-        # What interrupts: flags of ISR and the bit of CR1 that lets them.
-        self._causes = tuple(
-            (flags, self.mask("CR1", name))
-            for flags, name in (
-                (_RXNE | _ORE, "RXNEIE"),
-                (_IDLE, "IDLEIE"),
-                (_TC, "TCIE"),
-                (_TXE, "TXEIE"),
-                (_PE, "PEIE"),
-            )
-        )
+        self._causes = tuple((flags, self.mask("CR1", name)) for name, flags in _CAUSES.items())
         self._format_key, self._format = (0, 0, 0, 0), SBUS  # the registers and clock of that format
         self._arriving: list[tuple[int, int, Format, bool]] = []  # end, byte, format, parity is wrong
         self._line_free = 0  # cycle at which the last byte of `_arriving` ends
         self._begin()
-        dma.connect(f"{name}_RX", self)
-        dma.connect(f"{name}_TX", self)
+        self._receive, self._send = (dma.connect(f"{name}_{way}", self) for way in ("RX", "TX"))
 
     def _begin(self) -> None:
         self._idle_at: int | None = None  # cycle at which the line has rested for a byte
@@ -123,7 +114,7 @@ class Usart(Device):
         self._tx.cancel()
         self._idle.cancel()
         self._plan_arrival()  # bytes on the line come all the same
-        self.context.irq(self._irq, False)
+        self.engine.irq(self._irq, False)
 
     @property
     def format(self) -> Format:
@@ -140,7 +131,7 @@ class Usart(Device):
             divider = divider & 0xFFF0 | (divider & 7) << 1
             clock *= 2
         if divider < 16:
-            self.context.fail(f"{self.name}_BRR is 0x{self.words['BRR']:X}, expected 16 or more")
+            self.engine.fail(f"{self.name}_BRR is 0x{self.words['BRR']:X}, expected 16 or more")
         word = 8 + self.get("CR1", "M0") - self.get("CR1", "M1")
         checked = self.get("CR1", "PCE")
         parity = ("EO"[self.get("CR1", "PS")]) if checked else "N"
@@ -174,7 +165,7 @@ class Usart(Device):
         `broken`: indices of bytes with a wrong parity bit (or, without parity, a broken stop bit).
         """
         time = format.byte_cycles
-        begin = max(self._line_free, self.context.cycle)
+        begin = max(self._line_free, self.engine.cycle)
         if end is not None:
             begin = max(begin, end - time * len(data))
         for i, byte in enumerate(data):
@@ -185,12 +176,12 @@ class Usart(Device):
 
     def sync(self) -> None:
         """Receive the bytes that have arrived by now."""
-        if self._arriving and self._arriving[0][0] <= self.context.cycle:
+        if self._arriving and self._arriving[0][0] <= self.engine.cycle:
             self._arrive()
 
     def dma_changed(self) -> None:
         self.sync()
-        if self._dma.available(f"{self.name}_RX") and self.words["ISR"] & _RXNE and self._receives_by_dma():
+        if self.words["ISR"] & _RXNE:
             self._hand_over()
         self._load()
         self._plan_arrival()
@@ -243,7 +234,7 @@ class Usart(Device):
         self._update()
         if self._arriving:
             end, _, sender, _ = self._arriving[0]
-            if end - sender.byte_cycles <= self.context.cycle:
+            if end - sender.byte_cycles <= self.engine.cycle:
                 return self.words["ISR"] | _BUSY
         return self.words["ISR"]
 
@@ -262,9 +253,9 @@ class Usart(Device):
 
     def write_tdr(self, value: int) -> None:
         if not self.words["CR1"] & 1 or not self.get("CR1", "TE"):
-            self.context.fail(f"{self.name}_TDR is written while UE or TE is 0")
+            self.engine.fail(f"{self.name}_TDR is written while UE or TE is 0")
         if not self.words["ISR"] & _TXE:
-            self.context.fail(f"{self.name}_TDR is written while ISR TXE is 0: a byte would be lost")
+            self.engine.fail(f"{self.name}_TDR is written while ISR TXE is 0: a byte would be lost")
         self._holding = value & 0xFF
         self.words["ISR"] &= ~(_TXE | _TC)
         self._load()
@@ -276,30 +267,26 @@ class Usart(Device):
         """Set the alarm for the next byte; a byte for DMA without an interrupt may be received later."""
         due = self._arriving[0][0] if self._arriving else None
         quiet = self._takes_by_dma() and not self._interrupts()
-        if not quiet:
-            self._dma.wake(f"{self.name}_RX", self._rx, None)
-            if due is not None:
-                self._rx.set(due)
-        else:
-            self._dma.wake(f"{self.name}_RX", self._rx, due)
+        self._receive.wake(self._rx, due if quiet else None)
+        if due is not None and not quiet:
+            self._rx.set(due)
 
     def _interrupts(self) -> int:
         return self.words["CR1"] & self._own_interrupts[0] or self.words["CR3"] & self._own_interrupts[1]
 
     def _takes_by_dma(self) -> bool:
         on = self.words["CR1"] & self._receiver == self._receiver and self._receives_by_dma()
-        return bool(on and not self.words["ISR"] & _RXNE and self._dma.available(f"{self.name}_RX"))
+        return bool(on and not self.words["ISR"] & _RXNE and self._receive.available)
 
     def _arrive(self) -> None:
-        """Receive the bytes that have arrived."""
-        now, count = self.context.cycle, 0
+        now, count = self.engine.cycle, 0
         if self._takes_by_dma():
             own, sender = self.format, self._arriving[0][2]
             for end, _, format, broken in self._arriving:
                 if end > now or format is not sender or broken:
                     break
                 count += 1
-            if self._dma.circular(f"{self.name}_RX") and own.understands(sender):
+            if self._receive.circular and own.understands(sender):
                 self._take(count, own)
         while self._arriving and self._arriving[0][0] <= now:
             self._take_next()
@@ -316,7 +303,7 @@ class Usart(Device):
             self._idle_at = end + time
             self._received = self._with_parity(byte, own)
         if taken:
-            self._dma.give(f"{self.name}_RX", [byte for _, byte, _, _ in taken])
+            self._receive.give([byte for _, byte, _, _ in taken])
             self._update()
 
     def _with_parity(self, byte: int, own: Format, broken: bool = False) -> int:
@@ -335,7 +322,7 @@ class Usart(Device):
         flags = 0
         if not own.understands(sender):
             self._mismatches += 1
-            self.context.note(f"{self.name} listens at {own}, but is sent {sender}")
+            self.engine.note(f"{self.name} listens at {own}, but is sent {sender}")
             byte, flags = byte ^ 0xFF, _FE
         elif broken:
             flags = _PE if own.parity != "N" else _FE
@@ -348,8 +335,7 @@ class Usart(Device):
                 return
         self._received = self._with_parity(byte, own, broken)
         self.words["ISR"] |= flags | _RXNE
-        if self._receives_by_dma() and self._dma.available(f"{self.name}_RX"):
-            self._hand_over()
+        self._hand_over()
         self._update()
         self.on_received()
 
@@ -357,8 +343,10 @@ class Usart(Device):
         return self.words["CR3"] & self._receiving_dma
 
     def _hand_over(self) -> None:
-        self.words["ISR"] &= ~_RXNE
-        self._dma.give(f"{self.name}_RX", [self._received])
+        """Let DMA take the byte that was received, if it takes any."""
+        if self._receives_by_dma() and self._receive.available:
+            self.words["ISR"] &= ~_RXNE
+            self._receive.give([self._received])
 
     # Sending
 
@@ -367,14 +355,14 @@ class Usart(Device):
         if not self.words["CR1"] & 1 or not self.get("CR1", "TE"):
             return
         for _ in range(2):
-            if self._holding is None and self.get("CR3", "DMAT") and self._dma.available(f"{self.name}_TX"):
-                self._holding = self._dma.take(f"{self.name}_TX", 1)[0] & 0xFF
+            if self._holding is None and self.get("CR3", "DMAT") and self._send.available:
+                self._holding = self._send.take(1)[0] & 0xFF
                 self.words["ISR"] &= ~(_TXE | _TC)
             if self._shifting is None and self._holding is not None:
                 self._pins.expect(f"{self.name}_TX", f"{self.name} sends")
                 self._shifting, self._holding = self._holding, None
                 self.words["ISR"] |= _TXE
-                self._sent_at = (self.context.cycle if begin is None else begin) + self.format.byte_cycles
+                self._sent_at = (self.engine.cycle if begin is None else begin) + self.format.byte_cycles
                 self._tx.set(self._sent_at)
 
     def _sent(self) -> None:
@@ -392,7 +380,7 @@ class Usart(Device):
     def _update(self) -> None:
         words = self.words
         if self._idle_at is not None:
-            if self.context.cycle >= self._idle_at:
+            if self.engine.cycle >= self._idle_at:
                 busy = (
                     self._arriving and self._arriving[0][0] - self._arriving[0][2].byte_cycles < self._idle_at
                 )
@@ -405,7 +393,7 @@ class Usart(Device):
         wanted = flags & (_FE | _ORE) and self.get("CR3", "EIE") and self.get("CR3", "DMAR")
         for raised, enable in self._causes:
             wanted = wanted or (flags & raised and lets & enable)
-        self.context.irq(self._irq, bool(wanted))
+        self.engine.irq(self._irq, bool(wanted))
 
     def _write_fixed(self, register: str, value: int) -> None:
         if self.words["CR1"] & 1:
@@ -415,4 +403,4 @@ class Usart(Device):
     def _reject_fixed(self, register: str, changed: int) -> None:
         names = [f for f in _FIXED[register] if changed & self.mask(register, f)]
         if names:
-            self.context.fail(f"{self.name}_{register} {', '.join(names)} changes while UE is 1, expected 0")
+            self.engine.fail(f"{self.name}_{register} {', '.join(names)} changes while UE is 1, expected 0")

@@ -7,16 +7,17 @@ refuses what the chip's manual refuses, and counts what the image touches.
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, reduce
+from operator import or_
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
-from neuroflight.sim.board.core.context import Bus, Context
+from neuroflight.sim.board.core.context import Kept
+from neuroflight.sim.board.core.engine import Engine
 from neuroflight.toolchain.errors import BuildError
 
 TABLE = Path(__file__).with_name("registers.json")
@@ -69,10 +70,7 @@ class Register:
         return self._mask(lambda field: field.modelled and "w" in field.access)
 
     def _mask(self, wanted: Callable[[Field], bool]) -> int:
-        mask = 0
-        for field in self.fields.values():
-            mask |= field.mask if wanted(field) else 0
-        return mask
+        return reduce(or_, (field.mask for field in self.fields.values() if wanted(field)), 0)
 
 
 @dataclass(frozen=True)
@@ -142,16 +140,13 @@ def _register(data: dict[str, Any]) -> Register:
     )
 
 
-class Device:
-    """A peripheral of the chip: registers as words by name, and what happens around them.
+class Device(Kept):
+    """A peripheral of the chip: registers as words by name, and what happens around them."""
 
-    `kept` names the attributes that change besides words; they are plain values and go into snapshots.
-    """
+    kept: tuple[str, ...] = ("words",)
 
-    kept: tuple[str, ...] = ()
-
-    def __init__(self, context: Context, name: str) -> None:
-        self.context = context
+    def __init__(self, engine: Engine, name: str) -> None:
+        self.engine = engine
         self.name = name
         self.block = load_table().blocks[name]
         self.gate = ""  # the bit that clocks it, "RCC_AHB1ENR GPIOAEN"; empty: always clocked
@@ -170,32 +165,18 @@ class Device:
         """Return to the state after a reset of the chip or by the peripheral's bit in RCC."""
         self.words = self._reset_words()
 
-    def state(self) -> Any:  # noqa: ANN401
-        return {"words": dict(self.words), **{name: copy.deepcopy(getattr(self, name)) for name in self.kept}}
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        self.words = dict(state["words"])
-        for name in self.kept:
-            setattr(self, name, copy.deepcopy(state[name]))
-
     def counts(self, register: Register) -> tuple[int, int] | None:
         """Return how often `register` was read and written, if the bus does not count that."""
         return None
 
     def mask(self, register: str, *fields: str) -> int:
-        """Return the bits of `fields` together."""
-        result = 0
-        for field in fields:
-            result |= self.block.registers[register].fields[field].mask
-        return result
+        return sum(self.block.registers[register].fields[field].mask for field in fields)
 
     def get(self, register: str, field: str) -> int:
-        """Return the value of a field."""
         found = self.block.registers[register].fields[field]
         return (self.words[register] & found.mask) >> found.lsb
 
     def put(self, register: str, field: str, value: int) -> None:
-        """Set a field."""
         found = self.block.registers[register].fields[field]
         self.words[register] = self.words[register] & ~found.mask | value << found.lsb & found.mask
 
@@ -205,14 +186,6 @@ class Device:
         before = self.words[register]
         self.words[register] = before & ~writable | value & writable
         return before ^ self.words[register]
-
-
-class Companion(Protocol):
-    """A companion of the chip's state in snapshots."""
-
-    def state(self) -> Any: ...  # noqa: ANN401
-
-    def restore(self, state: Any) -> None: ...  # noqa: ANN401
 
 
 class _Slot:
@@ -243,11 +216,11 @@ class Touch:
 class _Window:
     """1 KiB of the address space behind the engine's bus: the registers of one or more devices."""
 
-    def __init__(self, context: Context, base: int) -> None:
-        self._context, self.base = context, base
+    def __init__(self, engine: Engine, base: int) -> None:
+        self._engine, self.base = engine, base
         self.blocks: list[Block] = []
         self.devices: list[Device] = []
-        self.companions: list[Companion] = []
+        self.companions: list[Kept] = []
         self.slots: dict[int, _Slot] = {}
 
     @property
@@ -262,10 +235,7 @@ class _Window:
                 self.slots[offset] = _Slot(device, register)
 
     def read(self, offset: int, size: int) -> int:
-        slot = self.slots.get(offset & ~3)
-        if slot is None or not slot.device.clocked or size not in slot.register.sizes:
-            self._reject(slot, offset, size, "read")
-        assert slot is not None
+        slot = self._slot(offset, size, "read")
         if "r" not in slot.register.access:
             self._fail(slot, "is read, but it is write-only")
         slot.reads += 1
@@ -275,10 +245,7 @@ class _Window:
         return value >> 8 * (offset & 3) & (1 << 8 * size) - 1
 
     def write(self, offset: int, size: int, value: int) -> None:
-        slot = self.slots.get(offset & ~3)
-        if slot is None or not slot.device.clocked or size not in slot.register.sizes:
-            self._reject(slot, offset, size, "write")
-        assert slot is not None
+        slot = self._slot(offset, size, "write")
         register = slot.register
         if "w" not in register.access:
             self._fail(slot, "is written, but it is read-only")
@@ -312,37 +279,36 @@ class _Window:
 
     def explain(self, offset: int, size: int, value: int | None) -> None:
         """Raise the error of an access that C has rejected. `value`: written; None: a read."""
-        slot = self.slots.get(offset & ~3)
-        verb = "read" if value is None else "write"
-        if slot is None or not slot.device.clocked or size not in slot.register.sizes:
-            self._reject(slot, offset, size, verb)
-        assert slot is not None
+        slot = self._slot(offset, size, "read" if value is None else "write")
         if value is None:
             self._fail(slot, "is read, but it is write-only")
         if "w" not in slot.register.access:
             self._fail(slot, "is written, but it is read-only")
         self._reject_bits(slot, value)
 
-    def _reject(self, slot: _Slot | None, offset: int, size: int, verb: str) -> None:
-        """Raise the error that there is no such access."""
-        address = self.base + offset
+    def _slot(self, offset: int, size: int, verb: str) -> _Slot:
+        """Return the register at `offset`. Raises the error that it cannot be accessed so."""
+        slot = self.slots.get(offset & ~3)
         if slot is None:
-            found = load_table().find(address)
-            where = f"{verb} at 0x{address:08X}"
-            if found is None:
-                self._context.fail(f"{where}: the chip has no register there")
-            block, register = found
-            if register is None and block.registers:
-                self._context.fail(f"{where}: {block.name} has no register there")
-            name = block.name if register is None else f"{block.name}_{register.name}"
-            self._context.fail(f"{where}: {name} is not modelled")
-        device, register = slot.device, slot.register
-        if not device.clocked:
-            self._fail(
-                slot, f"is {'read' if verb == 'read' else 'written'} without its clock: {device.gate} is 0"
-            )
-        widths = " or ".join(str(8 * size) for size in register.sizes)
-        self._fail(slot, f"has a {verb} of {8 * size} bits, but takes {widths}")
+            self._reject_address(self.base + offset, verb)
+        if not slot.device.clocked:
+            done = "read" if verb == "read" else "written"
+            self._fail(slot, f"is {done} without its clock: {slot.device.gate} is 0")
+        if size not in slot.register.sizes:
+            widths = " or ".join(str(8 * size) for size in slot.register.sizes)
+            self._fail(slot, f"has a {verb} of {8 * size} bits, but takes {widths}")
+        return slot
+
+    def _reject_address(self, address: int, verb: str) -> NoReturn:
+        found = load_table().find(address)
+        where = f"{verb} at 0x{address:08X}"
+        if found is None:
+            self._engine.fail(f"{where}: the chip has no register there")
+        block, register = found
+        if register is None and block.registers:
+            self._engine.fail(f"{where}: {block.name} has no register there")
+        name = block.name if register is None else f"{block.name}_{register.name}"
+        self._engine.fail(f"{where}: {name} is not modelled")
 
     def _reject_bits(self, slot: _Slot, value: int) -> None:
         register = slot.register
@@ -357,44 +323,46 @@ class _Window:
         self._fail(slot, f"= 0x{value:08X} sets {', '.join(fields)}, which the emulator does not model")
 
     def _fail(self, slot: _Slot, message: str) -> NoReturn:
-        self._context.fail(f"{slot.device.name}_{slot.register.name} {message}")
+        self._engine.fail(f"{slot.device.name}_{slot.register.name} {message}")
 
 
 class Registers:
     """All windows of the chip's peripherals, modelled or not, so that each wrong access is named."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, engine: Engine) -> None:
         self._windows: dict[int, _Window] = {}
         self.devices: dict[str, Device] = {}
         for block in load_table().blocks.values():
             size = min(block.size, _BLOCK_MAX)
             for base in range(block.base & ~(WINDOW - 1), block.base + size, WINDOW):
-                window = self._windows.setdefault(base, _Window(context, base))
+                window = self._windows.setdefault(base, _Window(engine, base))
                 window.blocks.append(block)
 
-    def add(self, device: Device) -> None:
-        """Put `device` in its place."""
-        self.devices[device.name] = device
-        self._windows[device.block.base & ~(WINDOW - 1)].add(device)
+    def _window(self, device: Device) -> _Window:
+        return self._windows[device.block.base & ~(WINDOW - 1)]
 
-    def accompany(self, device: Device, companion: Companion) -> None:
+    def add(self, device: Device) -> None:
+        self.devices[device.name] = device
+        self._window(device).add(device)
+
+    def accompany(self, device: Device, companion: Kept) -> None:
         """Put `companion` into snapshots with `device`, which was added before."""
-        self._windows[device.block.base & ~(WINDOW - 1)].companions.append(companion)
+        self._window(device).companions.append(companion)
 
     def window_name(self, device: Device) -> str:
         """Return the engine's name of the window that `device` answers in."""
-        return self._windows[device.block.base & ~(WINDOW - 1)].name
+        return self._window(device).name
 
     def explain(self, device: Device, offset: int, size: int, value: int | None) -> None:
         """Raise the error of an access to `device`'s window."""
-        self._windows[device.block.base & ~(WINDOW - 1)].explain(offset, size, value)
+        self._window(device).explain(offset, size, value)
 
-    def attach(self, bus: Bus) -> None:
+    def attach(self, engine: Engine) -> None:
         """Put every window behind the engine's bus."""
         for base, window in sorted(self._windows.items()):
             if base >= _EXTERNAL and not window.devices:
                 continue
-            bus.attach(base, WINDOW, window, window.name)
+            engine.attach(base, WINDOW, window, window.name)
 
     def touched(self) -> tuple[Touch, ...]:
         """Return every register that the image touched, in order of address."""

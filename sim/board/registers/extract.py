@@ -34,14 +34,7 @@ _TIMER = {
     "CCMR2": "OC3PE OC3M OC4PE OC4M",
     "CCER": "CC1E CC2E CC3E CC4E",
     "CNT": "CNT",
-    "PSC": _ALL,
-    "ARR": _ALL,
-    "CCR1": _ALL,
-    "CCR2": _ALL,
-    "CCR3": _ALL,
-    "CCR4": _ALL,
-    "DCR": _ALL,
-    "DMAR": _ALL,
+    **dict.fromkeys(["PSC", "ARR", "CCR1", "CCR2", "CCR3", "CCR4", "DCR", "DMAR"], _ALL),
 }
 _ADVANCED_TIMER = {**_TIMER, "RCR": _ALL, "BDTR": "MOE AOE OSSI OSSR"}
 _GPIO = dict.fromkeys(["MODER", "OTYPER", "OSPEEDR", "PUPDR", "IDR", "ODR", "BSRR", "AFRL", "AFRH"], _ALL)
@@ -59,8 +52,7 @@ _USART = {
 _SPI = {
     "CR1": "CPHA CPOL MSTR BR SPE LSBFIRST SSI SSM",
     "CR2": "RXDMAEN TXDMAEN ERRIE RXNEIE TXEIE DS FRXTH",
-    "SR": _ALL,
-    "DR": _ALL,
+    **dict.fromkeys(["SR", "DR"], _ALL),
 }
 _DMA = {
     **dict.fromkeys(["LISR", "HISR", "LIFCR", "HIFCR"], _ALL),
@@ -87,35 +79,19 @@ MODELLED: dict[str, dict[str, str]] = {
         "DCKCFGR1": "TIMPRE",
         "DCKCFGR2": "USART1SEL USART2SEL USART3SEL UART4SEL UART5SEL",
     },
-    "PWR": {
-        "CR1": "VOS ODEN ODSWEN PVDE PLS DBP",
-        "CSR1": "PVDO VOSRDY ODRDY ODSWRDY",
-    },
+    "PWR": {"CR1": "VOS ODEN ODSWEN PVDE PLS DBP", "CSR1": "PVDO VOSRDY ODRDY ODSWRDY"},
     "FLASH": {
-        "ACR": _ALL,
-        "KEYR": _ALL,
-        "OPTKEYR": _ALL,
+        **dict.fromkeys(["ACR", "KEYR", "OPTKEYR", "CR", "OPTCR", "OPTCR1", "OPTCR2"], _ALL),
         "SR": "EOP OPERR WRPERR PGAERR PGPERR ERSERR BSY",
-        "CR": _ALL,
-        "OPTCR": _ALL,
-        "OPTCR1": _ALL,
-        "OPTCR2": _ALL,
     },
     **{f"GPIO{port}": _GPIO for port in "ABCD"},
     "SYSCFG": dict.fromkeys(("EXTICR1", "EXTICR2", "EXTICR3", "EXTICR4"), _ALL),
     "EXTI": dict.fromkeys(["IMR", "RTSR", "FTSR", "SWIER", "PR"], _ALL),
-    "DMA1": _DMA,
-    "DMA2": _DMA,
-    "TIM1": _ADVANCED_TIMER,
-    "TIM8": _ADVANCED_TIMER,
+    **dict.fromkeys(["DMA1", "DMA2"], _DMA),
+    **dict.fromkeys(["TIM1", "TIM8"], _ADVANCED_TIMER),
     **{f"TIM{n}": _TIMER for n in (2, 3, 4, 5)},
-    "SPI1": _SPI,
-    "SPI3": _SPI,
-    "USART1": _USART,
-    "USART2": _USART,
-    "USART3": _USART,
-    "UART4": _USART,
-    "UART5": _USART,
+    **dict.fromkeys(["SPI1", "SPI3"], _SPI),
+    **dict.fromkeys(["USART1", "USART2", "USART3", "UART4", "UART5"], _USART),
     "ADC1": {
         "SR": "EOC STRT OVR",
         "CR1": "EOCIE SCAN RES OVRIE",
@@ -283,10 +259,8 @@ def render(table: dict[str, object]) -> str:
     for name, peripheral in peripherals.items():
         registers = ",\n".join("   " + json.dumps(r) for r in peripheral["registers"])
         body = f"[\n{registers}]" if registers else "[]"
-        rows.append(
-            f'  "{name}": {{"base": "{peripheral["base"]}", "size": "{peripheral["size"]}", '
-            f'"registers": {body}}}'
-        )
+        place = json.dumps({key: peripheral[key] for key in ("base", "size")})[1:-1]
+        rows.append(f'  "{name}": {{{place}, "registers": {body}}}')
     return lines + ",\n".join(rows) + "\n }\n}\n"
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import struct
 from enum import Enum, auto
-from typing import Any
 
+from neuroflight.sim.board.core.context import Kept
 from neuroflight.sim.board.core.engine import POWER_UP, Engine
 from neuroflight.sim.board.peripherals.flash import KEYS, Flash
 from neuroflight.sim.board.peripherals.iwdg import Iwdg
@@ -58,10 +58,10 @@ class Stage(Enum):
     SERVING = auto()
 
 
-class BootLoader:
+class BootLoader(Kept):
     """The program in the ROM. Its state goes into snapshots beside USART1's."""
 
-    _kept = ("stage", "_state", "_sending", "_sectors", "_address", "_data", "_answers", "_start", "_waits")
+    kept = ("stage", "_state", "_sending", "_sectors", "_address", "_data", "_answers", "_start", "_waits")
 
     def __init__(self, engine: Engine, rcc: Rcc, flash: Flash, usart: Usart, iwdg: Iwdg) -> None:
         """Set up the program after the devices that it uses, whose alarms then go first."""
@@ -78,15 +78,6 @@ class BootLoader:
     def runs(self) -> bool:
         """True if the core is in the ROM."""
         return self.stage is not Stage.OFF
-
-    def state(self) -> Any:  # noqa: ANN401
-        """See Companion."""
-        return {name: getattr(self, name) for name in self._kept}
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        """See Companion."""
-        for name in self._kept:
-            setattr(self, name, state[name])
 
     # ---- in and out of the ROM ----
 
@@ -242,9 +233,10 @@ class BootLoader:
     def _erase_next(self) -> None:
         """Begin with the first of the sectors. A write-protected one stays, without an error."""
         sector, self._sectors = self._sectors[0], self._sectors[1:]
-        command = ("MER",) if sector == _MASS else ("SER",)
-        number = 0 if sector == _MASS else sector << self._field_lsb("SNB")
-        self._order(self._flash.mask("CR", *command, "STRT") | number)
+        command, number = ("MER", 0) if sector == _MASS else ("SER", sector << self._field_lsb("SNB"))
+        order = self._flash.mask("CR", command, "STRT") | number | PARALLELISM << self._field_lsb("PSIZE")
+        self._flash.write_cr(order)
+        self._wait()
 
     def _program_next(self) -> None:
         """Program the next unit. If flash is not erased, it keeps the bits that both have set."""
@@ -257,10 +249,6 @@ class BootLoader:
         if flash.words["CR"] != programming:
             flash.write_cr(programming)
         flash.program(address, size, int.from_bytes(raw, "little") & old)
-        self._wait()
-
-    def _order(self, value: int) -> None:
-        self._flash.write_cr(value | PARALLELISM << self._field_lsb("PSIZE"))
         self._wait()
 
     def _wait(self) -> None:

@@ -181,25 +181,21 @@ class PtyEnd:
 
     @property
     def name(self) -> str:
-        """See End."""
         return self.path
 
     def receive(self, count: int) -> bytes:
-        """See End."""
         try:
             return os.read(self._master, count)
         except BlockingIOError:
             return b""
 
     def send(self, data: bytes) -> int:
-        """See End."""
         try:
             return os.write(self._master, data)
         except BlockingIOError:
             return 0
 
     def close(self) -> None:
-        """See End."""
         if not self._closed:
             self._closed = True
             os.close(self._master)
@@ -232,11 +228,9 @@ class TcpEnd:
 
     @property
     def name(self) -> str:
-        """See End."""
         return f"tcp:127.0.0.1:{self.port}"
 
     def receive(self, count: int) -> bytes:
-        """See End."""
         self._accept()
         if self._ahead:
             first = bytes(self._ahead[:count])
@@ -255,7 +249,6 @@ class TcpEnd:
         return data
 
     def send(self, data: bytes) -> int:
-        """See End."""
         if self._client is None:
             return len(data)
         try:
@@ -267,7 +260,6 @@ class TcpEnd:
             return len(data)
 
     def close(self) -> None:
-        """See End."""
         self._leave()
         self._listener.close()
 
@@ -319,8 +311,7 @@ class Bridge:
     """A bridge that carries bytes between a line and its other end, at the line's speed.
 
     Pseudo terminals and TCP have no parity. The boot loader in the chip's ROM needs an even one: the line has
-    it while
-    that runs.
+    it while that runs.
     """
 
     def __init__(self, line: UartLine, end: End) -> None:

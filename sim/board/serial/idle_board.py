@@ -12,10 +12,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.settings.values import Settings, as_stored, in_order
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
@@ -80,7 +80,7 @@ class IdleBoard:
         self.board.hardware.adc.set_battery(volts, 0.0)
         self.run_core = self.board.run_to  # to a cycle; a debugger may stand in for it
         self._rng = np.random.default_rng(seed)
-        self._noise: NDArray[np.float64] = np.empty((0, 6))
+        self._noise: Array = np.empty((0, 6))
         self._measured = 0  # cycle of the next measurement
 
     def run_to(self, cycle: int) -> None:
@@ -104,11 +104,9 @@ class IdleBoard:
         return Client(transport, transport.clock)
 
     def flash(self) -> bytes:
-        """Return the present content of flash."""
         return self.board.engine.memory(FLASH_BASE, FLASH_BYTES)
 
     def close(self) -> None:
-        """Free the board's memory."""
         self.board.close()
 
     def _measure(self) -> None:

@@ -57,7 +57,8 @@ def told_while_idle(image: bytes, runs: int) -> ToldTimes:
                 told = records.tasks(client.request(Msp.TASKS))
                 load = next(load for load in told.loads if load.task is Task.CONTROL)
                 if load.runs >= runs:
-                    return _of_load(load)
+                    cycles = (load.worst_cycles, load.best_cycles, load.mean_cycles)
+                    return ToldTimes(False, "", load.runs, *cycles, load.misses)
                 if load.runs == before:
                     raise LinkError(
                         f"{client.name}: the firmware has told {load.runs} control tasks for {WAIT_S:g} s, "
@@ -68,18 +69,6 @@ def told_while_idle(image: bytes, runs: int) -> ToldTimes:
                 idle.run_to(idle.board.cycle + round(min(ahead, WAIT_S) * TIME_HZ) + 1)
     finally:
         idle.close()
-
-
-def _of_load(load: records.TaskLoad) -> ToldTimes:
-    return ToldTimes(
-        armed=False,
-        controller="",
-        runs=load.runs,
-        worst=load.worst_cycles,
-        best=load.best_cycles,
-        mean=load.mean_cycles,
-        missed=load.misses,
-    )
 
 
 class StreamListener:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Indices
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
 
 DRIFT_MAX = 0.05  # of a microcontroller's ceramic resonator: 0.005
 LONG_S = 2.0  # shorter logs do not show a drift
@@ -54,7 +52,7 @@ def fit_clock(own: Array, arrival: Array, drift_max: float = DRIFT_MAX) -> Clock
     return Clock(float(own[0]), float(arrival[0]) + off, rate, late)
 
 
-def _lower_hull(x: Array, y: Array) -> NDArray[np.intp]:
+def _lower_hull(x: Array, y: Array) -> Indices:
     """Return the indices of the lower convex hull of points whose x rises."""
     hull: list[int] = []
     for index in range(len(x)):

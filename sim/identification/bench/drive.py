@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.bench.guard import Guard, StoppedError
 from neuroflight.sim.identification.bench.sensor import LineReader, SensorRow
 from neuroflight.sim.identification.dyno.bench import Phase, duration, throttle_at
 from neuroflight.toolchain.errors import DynoError
 
-Array = NDArray[np.float64]
 Clock = Callable[[], float]
 
 TICK_S = 0.02  # between two commands: a ramp of 20 s moves by 0.1 %, the resolution of SET_MOTOR

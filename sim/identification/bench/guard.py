@@ -8,14 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.identification.bench.clocks import DRIFT_MAX
 from neuroflight.sim.identification.bench.quantities import Rig, pulse_wrap, thrust_of, torque_of
 from neuroflight.sim.identification.bench.sensor import TIMES, WRAP, SensorRow
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
 
 SILENCE_S = 0.5  # [s] without a fresh reading
 LATE_S = 0.25  # [s] by which readings may be older than the first was, beyond the drift of a clock

@@ -6,20 +6,18 @@ each load, so that what it does not give back (hysteresis) shows; Koch 2019, cha
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from neuroflight.sim.strict_toml import StrictTable, shown
+from neuroflight.sim.arrays import Array
+from neuroflight.sim.strict_toml import StrictTable, parse_toml, shown
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import DynoError
-from neuroflight.toolchain.files import file_size, write_text
-
-Array = NDArray[np.float64]
+from neuroflight.toolchain.files import read_limited, write_text
 
 FORCE, TORQUE = "N", "N m"
 LOADS_MIN = 3  # different ones, none among them: two points lie on a line whatever the cell does
@@ -44,8 +42,7 @@ class LoadCell:
 
 
 def loads_of_masses(masses_kg: ArrayLike, lever_m: float | None = None) -> Array:
-    """Compute the force [N] of masses that hang or lie on a cell; with the length of a lever the torque [N
-    m].
+    """Compute the force [N] of masses on a cell; with the length of a lever the torque [N m].
 
     A negative mass stands for one that pulls the other way, such as on a lever to the other side.
     """
@@ -133,17 +130,13 @@ def read_load_cells(path: Path, columns: Sequence[str]) -> dict[str, LoadCell]:
     """
     if not path.is_file():
         raise DynoError(f"{path}: no such file; `neuroflight dyno calibrate --out {path}` makes one")
-    if file_size(path) > FILE_BYTES_MAX:
-        raise DynoError(f"{path}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX} of load cells")
-    try:
-        document = tomllib.loads(path.read_text("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DynoError(f"{path}: no TOML ({' '.join(str(error).split())})") from error
+    data = read_limited(path, str(path), FILE_BYTES_MAX, DynoError, " of load cells")
+    document = parse_toml(data, str(path), DynoError)
     top = StrictTable(document, str(path), DynoError)
     strange = [name for name in document if name not in columns]
     if strange:
         raise DynoError(f"{path}: a cell {shown(strange[0])}, expected one of: {', '.join(columns)}")
-    return {name: _cell(top.table(name)) for name in document}
+    return {name: top.part(name, _cell) for name in document}
 
 
 def _cell(table: StrictTable) -> LoadCell:
@@ -158,7 +151,6 @@ def _cell(table: StrictTable) -> LoadCell:
         load_max=table.number("load_max", 1e-9, 1e6),
         loads=table.integer("loads", LOADS_MIN, 1_000_000),
     )
-    table.finish()
     if cell.scale == 0.0:
         raise table.error("scale", "got 0, expected another number; calibrate the cell again")
     return cell

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.bench.drive import Log
 from neuroflight.sim.identification.bench.sensor import Layout
-from neuroflight.sim.identification.dyno.bench import Phase, duration
+from neuroflight.sim.identification.dyno.bench import Phase, duration, ramp, steps_held
 from neuroflight.sim.identification.dyno.recording import (
     ROWS_MAX,
     Recording,
@@ -22,13 +22,9 @@ from neuroflight.sim.identification.dyno.recording import (
 from neuroflight.toolchain.errors import DynoError
 from neuroflight.toolchain.files import file_size, write_text
 
-Array = NDArray[np.float64]
-
-LEVELS = (0.25, 0.5, 0.75, 1.0)  # of the limit; Koch 2019, chapter 5
 REPEATS = 20  # Koch 2019, chapter 5, of the ramp
 HOLD_S, RAMP_S = 1.0, 40.0  # [s], each level and the rest after it; up and down; Koch 2019, chapter 5
-REST_S = 1.0  # [s] before, in which the zeros of load cells are taken
-COAST_S = 2.0  # [s] after a ramp, in which the rotor comes to rest
+
 APART_S = 2.0  # [s] between two runs in one file; `dyno fit` takes 0.5 s for the beginning of another
 PLAN_FILE = "plan.json"
 PLAN_BYTES_MAX = 64 << 10
@@ -67,19 +63,8 @@ class BenchPlan:
         return tuple(Run(kind, number + 1) for number in range(self.repeats) for kind in self.kinds)
 
     def experiment(self, kind: str) -> tuple[Phase, ...]:
-        """Return the phases of one run."""
-        rest = Phase(REST_S, 0.0, 0.0)
-        if kind == "steps":
-            levels = [self.limit * level for level in LEVELS]
-            held = [(Phase(self.hold_s, u, u), Phase(self.hold_s, 0.0, 0.0)) for u in levels]
-            return (rest, *(phase for pair in held for phase in pair))
-        half = self.ramp_s / 2
-        return (
-            rest,
-            Phase(half, 0.0, self.limit),
-            Phase(half, self.limit, 0.0),
-            Phase(COAST_S, 0.0, 0.0),
-        )
+        """Return the phases of one run; the rest before takes the zeros of load cells."""
+        return steps_held(self.hold_s, self.limit) if kind == "steps" else ramp(self.ramp_s, self.limit)
 
     def seconds(self, runs: Sequence[Run]) -> float:
         """Return the duration of these runs [s]."""
@@ -125,8 +110,7 @@ def begin_folder(plan: BenchPlan, folder: Path) -> None:
 
 
 def keep_run(folder: Path, run: Run, recording: Recording, log: Log, layout: Layout) -> None:
-    """Write a finished run: what came and what was sent, and last, as it says that all is there, the
-    recording."""
+    """Write what came and what was sent, and last, as it says that the run is finished, the recording."""
     _write_rows(folder / f"{run.name}.sensor.csv", ("arrival_s", *layout.names), log.arrival, log.values)
     _write_rows(
         folder / f"{run.name}.commands.csv", ("time_s", "throttle"), log.command_time, log.throttle[:, None]

@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import RPM
 from neuroflight.sim.analysis.confidence import Mean, mean_of
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.dyno.recording import Recording
 from neuroflight.sim.plotting import AXIS_COLOURS, INK, dress, legend_above, save_png, titled_figure
-
-Array = NDArray[np.float64]
 
 GRID_S = 0.02
 SHOWN_MAX = 20  # repeats drawn singly
@@ -41,8 +39,7 @@ def draw_bench(recordings: Mapping[str, Sequence[Recording]], title: str) -> Fig
         for row, (name, label, unit, scale) in enumerate(CHANNELS):
             panel = panels[row, column]
             _draw(panel, group, name, scale)
-            dress(panel, f"{TITLES[kind]}: {label}")
-            panel.set_ylabel(unit, color=INK)
+            dress(panel, f"{TITLES[kind]}: {label}", up=unit)
             if row == 0:
                 legend_above(panel)
         panels[-1, column].set_xlabel("time, s", color=INK)

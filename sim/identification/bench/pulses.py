@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
 
 BLADES_MIN, BLADES_MAX = 1, 12  # pulses a revolution: blades, or the marks on a motor's bell
 
 
 def unwrapped(counts: Array, modulus: float) -> Array:
-    """Unwrap counts that restarted at `modulus` into one rising row, (N,). Raises DynoError if they went
-    back.
+    """Unwrap counts that restarted at `modulus` into one rising row, (N,). Raises DynoError on one set back.
 
     A step of more than half the modulus is one back: the counter was set anew.
     """

@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.bench.load_cell import FORCE, TORQUE, LoadCell, load
 from neuroflight.sim.identification.bench.pulses import speed_of_pulses, unwrapped
 from neuroflight.sim.identification.bench.sensor import CELLS, TIMES, WRAP, Layout
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
 
 # [s] over which the speed of pulses is averaged: a tenth of a rise if the sensor stamps them, twice that if
 # it only counts them, so that one pulse more or less matters less.

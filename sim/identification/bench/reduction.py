@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.identification.bench.clocks import Clock, fit_clock
 from neuroflight.sim.identification.bench.drive import Log
 from neuroflight.sim.identification.bench.quantities import Rig, own_time, speed_of, thrust_of, torque_of
 from neuroflight.sim.identification.dyno.recording import ROWS_MIN, Recording
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
 
 UNEVEN_S = 0.05  # lines of a sensor without a clock may be late by so much
 
@@ -46,7 +44,7 @@ def reduce_log(log: Log, rig: Rig) -> tuple[Recording, Clock]:
     )
 
 
-def _upright(values: Array, turning: NDArray[np.bool_]) -> Array:
+def _upright(values: Array, turning: Flags) -> Array:
     return -values if turning.any() and np.median(values[turning]) < 0 else values
 
 

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Propulsion
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.bench.calibration import READ_S, calibrate
 from neuroflight.sim.identification.bench.drive import Log
 from neuroflight.sim.identification.bench.load_cell import FORCE, TORQUE, LoadCell, loads_of_masses
@@ -33,8 +33,6 @@ from neuroflight.sim.identification.dyno.recording import Recording
 from neuroflight.sim.identification.dyno.signal import jumps, settled_rows
 from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
 from neuroflight.toolchain.contract import GRAVITY
-
-Array = NDArray[np.float64]
 
 BLADES = 3
 LEVER_M = 0.13  # of the torque's calibration

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import RPM
 from neuroflight.sim.analysis.confidence import mean_of
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.dyno.bench import Step, steps
 from neuroflight.sim.identification.dyno.recording import Recording
 from neuroflight.sim.identification.dyno.signal import JUMP, commanded, jumps
-
-Array = NDArray[np.float64]
 
 TOP = 0.01  # of the largest throttle: thrust is 0.25 % less over it, on average, than at its end
 

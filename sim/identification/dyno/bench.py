@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Propulsion
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.dyno.recording import Recording
 from neuroflight.sim.identification.dyno.signal import JUMP, SETTLED_S, jumps, without_spikes
 from neuroflight.sim.physics.rotor import speeds_along, target_speed, thrust_and_torque
-
-Array = NDArray[np.float64]
 
 STEP_LEVELS = (0.25, 0.5, 0.75, 1.0)  # throttle; Koch 2019, chapter 5
 RAMP_S = 40.0  # 0 to 1 and back; Koch 2019, chapter 5
@@ -36,19 +34,20 @@ class Phase:
     last: float  # and at its end
 
 
-def steps_held(hold: float) -> tuple[Phase, ...]:
-    """Return a step to each of STEP_LEVELS, held for `hold` [s], with as long a rest after it."""
-    held = [(Phase(hold, level, level), Phase(hold, 0.0, 0.0)) for level in STEP_LEVELS]
+def steps_held(hold: float, top: float = 1.0) -> tuple[Phase, ...]:
+    """Return a step to each of STEP_LEVELS of `top`, held for `hold` [s], with as long a rest after it."""
+    held = [(Phase(hold, top * level, top * level), Phase(hold, 0.0, 0.0)) for level in STEP_LEVELS]
     return (Phase(REST_S, 0.0, 0.0), *(phase for pair in held for phase in pair))
 
 
+def ramp(length: float, top: float = 1.0) -> tuple[Phase, ...]:
+    """Return throttle that rises evenly to `top` and falls again in `length` [s], with rests around it."""
+    rising, falling = Phase(length / 2, 0.0, top), Phase(length / 2, top, 0.0)
+    return (Phase(REST_S, 0.0, 0.0), rising, falling, Phase(HOLD_S, 0.0, 0.0))
+
+
 STEPS = steps_held(HOLD_S)
-RAMP = (
-    Phase(REST_S, 0.0, 0.0),
-    Phase(RAMP_S / 2, 0.0, 1.0),
-    Phase(RAMP_S / 2, 1.0, 0.0),
-    Phase(HOLD_S, 0.0, 0.0),
-)
+RAMP = ramp(RAMP_S)
 KINDS = ("steps", "ramp")
 EXPERIMENTS = {"steps": STEPS, "ramp": RAMP, "all": (*STEPS, *RAMP)}
 

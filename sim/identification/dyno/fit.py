@@ -13,9 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import COEFFICIENT_TERMS_MAX
+from neuroflight.sim.arrays import Array, Flags, Indices
 from neuroflight.sim.identification.dyno.model import curve, make_schedule, quadratic, quadratic_errors
 from neuroflight.sim.identification.dyno.recording import THROTTLE_SLACK, Recording
 from neuroflight.sim.identification.dyno.response import (
@@ -28,7 +28,7 @@ from neuroflight.sim.identification.dyno.response import (
     why_better,
     why_none,
 )
-from neuroflight.sim.identification.dyno.robust_fit import Estimate, robust_fit
+from neuroflight.sim.identification.dyno.robust_fit import Estimate, polynomial, robust_fit
 from neuroflight.sim.identification.dyno.signal import (
     JUMP,
     NOISE_FLOOR,
@@ -43,7 +43,6 @@ from neuroflight.sim.identification.dyno.signal import (
 )
 from neuroflight.toolchain.errors import DynoError
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 NO_TORQUE = "no torque was measured: K_Q stays unknown; take it from another stand or the propeller's table"
@@ -77,8 +76,8 @@ class Fit:
     thrust: Array  # (N,) [N], of the model at its own speed
     torque: Array  # (N,) [N m]
     clean_speed: Array  # (N,) [rad/s], measured speed without its noise
-    steady: NDArray[np.bool_]  # (N,) rows that thrust and torque were fitted on
-    outliers: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]  # (N,) of speed, thrust, torque
+    steady: Flags  # (N,) rows that thrust and torque were fitted on
+    outliers: tuple[Flags, Flags, Flags]  # (N,) of speed, thrust, torque
     speed_errors: tuple[SpeedError, ...]  # one a level, rising, then the rest
     thrust_mae: float  # [N], model against data, outliers left out
     torque_mae: float  # [N m]; 0 without a torque
@@ -149,7 +148,7 @@ def fit(
     thrust_terms = fit_polynomial(
         clean[steady], clean[steady] ** 2, recording.thrust[steady], top, speed_dependent, "thrust"
     )
-    loads = _at(thrust_terms, clean) * clean**2
+    loads = polynomial(thrust_terms, clean) * clean**2
     torque_terms: tuple[Estimate, ...] = ()
     if recording.has_torque:
         torque_terms = fit_polynomial(
@@ -157,8 +156,8 @@ def fit(
         )
     else:
         notes.append(NO_TORQUE)
-    thrust = _at(thrust_terms, speed) * speed**2
-    torque = _at(torque_terms, speed) * thrust if torque_terms else np.zeros(len(speed))
+    thrust = polynomial(thrust_terms, speed) * speed**2
+    torque = polynomial(torque_terms, speed) * thrust if torque_terms else np.zeros(len(speed))
     a_error, b_error, c_error = quadratic_errors(errors)
     return Fit(
         recording=recording,
@@ -233,12 +232,6 @@ def fit_polynomial(
     )
 
 
-def _at(terms: tuple[Estimate, ...], speed: Array) -> Array:
-    """Evaluate a polynomial at speeds, (n,)."""
-    values = np.polynomial.polynomial.polyval(speed, [term.value for term in terms])
-    return np.asarray(values, np.float64)
-
-
 def _check_levels(throttle: Array) -> None:
     """Raise DynoError unless throttle settled at three levels, as H has three numbers."""
     levels = np.unique(np.round(throttle / JUMP))
@@ -253,9 +246,9 @@ def _check_levels(throttle: Array) -> None:
 def _speed_errors(
     recording: Recording,
     throttle: Array,
-    rows: NDArray[np.intp],
+    rows: Indices,
     speed: Array,
-    off: NDArray[np.bool_],
+    off: Flags,
     top: float,
 ) -> tuple[SpeedError, ...]:
     """Return the residuals by the level that throttle steps up to, then those of all other rows."""
@@ -268,7 +261,7 @@ def _speed_errors(
         if row in rows and held[0] > throttle[row - 1] and np.ptp(held) < JUMP:
             levels[row:end] = round(float(np.median(held)), 2)
 
-    def error(level: float | None, part: NDArray[np.bool_]) -> SpeedError:
+    def error(level: float | None, part: Flags) -> SpeedError:
         kept, averaged = residual[part & ~off], smooth[part]
         return SpeedError(
             level,

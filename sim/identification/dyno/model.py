@@ -11,12 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Flags, Indices
 from neuroflight.sim.identification.dyno.recording import Recording
 from neuroflight.sim.identification.dyno.signal import uneven
-
-Array = NDArray[np.float64]
 
 HELD = 0.001  # throttle that moves less than this is taken as held: 0.05 % off at most
 UNLIMITED = 1e12  # [rad/s^2], slew of a response that has no limit
@@ -31,9 +29,9 @@ class Schedule:
 
     time: Array  # (S,) [s], at which each begins
     value: Array  # (S,)
-    fresh: NDArray[np.bool_]  # (S,), whether a run begins with it
+    fresh: Flags  # (S,), whether a run begins with it
     first: Array  # (S,) [rad/s], measured speed at the beginning of a run, else 0
-    row: NDArray[np.intp]  # (S,), at which each shows first
+    row: Indices  # (S,), at which each shows first
     middle: Array  # (S,) [s], middle of the interval that the log leaves for `time`
     slack: Array  # (S,) [s], by which that may be early or late
     near: float  # [rad/s], a run that begins no further from its target begins there
@@ -76,7 +74,7 @@ def make_schedule(recording: Recording, throttle: Array, noise: float = 0.0, hel
     return Schedule(middle, value, fresh, first, rows, middle, slack, NEAR * noise)
 
 
-def retimed(schedule: Schedule, jumped: NDArray[np.intp], cost: Callable[[Schedule], Array]) -> Schedule:
+def retimed(schedule: Schedule, jumped: Indices, cost: Callable[[Schedule], Array]) -> Schedule:
     """Return `schedule` with each jump moved to where within its slack it costs least.
 
     jumped: rows of the jumps, (J,). cost: of the rows after each jump under a schedule, (J,). On average

@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.arrays import Array, Flags, Indices
 from neuroflight.sim.identification.dyno.fit import Fit
 from neuroflight.sim.identification.dyno.points import PointsFit
 from neuroflight.sim.identification.dyno.recording import Recording
-from neuroflight.sim.identification.dyno.robust_fit import Estimate
+from neuroflight.sim.identification.dyno.robust_fit import Estimate, polynomial
 from neuroflight.sim.identification.dyno.signal import WINDOW_S, jumps, settled_rows
 from neuroflight.sim.plotting import (
     AXIS_COLOURS,
@@ -26,8 +26,6 @@ from neuroflight.sim.plotting import (
     save_png,
     titled_figure,
 )
-
-Array = NDArray[np.float64]
 
 DATA, MODEL, OFF = "#8b949e", AXIS_COLOURS[0], AXIS_COLOURS[1]
 THROTTLE = AXIS_COLOURS[2]
@@ -54,16 +52,14 @@ def draw_recording(recording: Recording, title: str) -> Figure:
     figure = titled_figure((11, 9), title, PAD)
     panels: list[Axes] = list(figure.subplots(4, 1, sharex=True, height_ratios=(1, 2, 2, 2)))
     panels[0].plot(recording.time, 100 * recording.throttle, color=THROTTLE, lw=1.2, drawstyle="steps-post")
-    panels[0].set_ylabel("%", color=INK)
     panels[0].set_ylim(-4, 106)
-    dress(panels[0], "throttle")
+    dress(panels[0], "throttle", up="%")
     shown = _thinned(len(recording.time))
     for panel, (name, label, unit) in zip(panels[1:], CHANNELS, strict=True):
         values = _shown(name, getattr(recording, name))
         _dots(panel, recording.time[shown], values[shown])
         panel.set_ylim(*_reach(values))
-        panel.set_ylabel(unit, color=INK)
-        dress(panel, label)
+        dress(panel, label, up=unit)
     panels[-1].set_xlabel("time, s", color=INK)
     panels[-1].set_xlim(recording.time[0], recording.time[-1])
     figure.align_ylabels(panels)
@@ -98,24 +94,17 @@ def draw_points(fit: PointsFit, title: str) -> Figure:
     figure = titled_figure((6.5 * len(shown), 5), title, PAD)
     panels = figure.subplots(1, len(shown), squeeze=False)[0]
     speeds = np.linspace(0.0, fit.speed_max, 201)
-    thrust = _over(fit.thrust_coefficient, speeds) * speeds**2
-    models = (thrust, _over(fit.torque_ratio, speeds) * thrust if fit.torque_ratio else thrust)
+    thrust = polynomial(fit.thrust_coefficient, speeds) * speeds**2
+    models = (thrust, polynomial(fit.torque_ratio, speeds) * thrust if fit.torque_ratio else thrust)
     for panel, (name, label, unit), model in zip(panels, shown, models, strict=False):
         panel.plot(fit.speed / RPM, getattr(fit, name), ".", color=DATA, ms=5, mew=0, label="points")
         panel.plot(speeds / RPM, model, color=MODEL, lw=1.6, label="fit", zorder=3)
-        panel.set_xlabel("rotor speed, rpm", color=INK)
-        panel.set_ylabel(unit, color=INK)
-        dress(panel, label)
+        dress(panel, label, "rotor speed, rpm", unit)
         legend_above(panel)
     return figure
 
 
-def _over(terms: tuple[Estimate, ...], speed: Array) -> Array:
-    """Evaluate the polynomial of a coefficient at these speeds (n,)."""
-    return np.asarray(np.polynomial.polynomial.polyval(speed, [term.value for term in terms]), np.float64)
-
-
-def _settling(fit: Fit, rows: NDArray[np.intp]) -> float:
+def _settling(fit: Fit, rows: Indices) -> float:
     """Return a time [s] that contains the slowest step and a margin."""
     recording = fit.recording
     longest = 0.0
@@ -143,18 +132,16 @@ def _draw_channel(figure: Figure, place: SubplotSpec, fit: Fit, channel: int) ->
     if inside.any():
         panel.plot(time[inside], data[inside], "x", color=OFF, ms=3, mew=0.7, label="outlier", zorder=2)
     panel.set_ylim(low, high)
-    panel.set_ylabel(unit, color=INK)
     panel.set_xlim(time[0], time[-1])
     panel.tick_params(labelbottom=False)
-    dress(panel, label)
+    dress(panel, label, up=unit)
     for handle in legend_above(panel).get_lines():
         handle.set(alpha=1.0, markersize=6)
     _dots(strip, time[kept], (data - model)[kept])
     largest = 1.3 * float(np.quantile(np.abs((data - model)[~off]), 0.999)) or 1.0
     strip.set_ylim(-largest, largest)
     strip.axhline(0.0, color=MODEL, lw=1.0)
-    strip.set_ylabel(unit, color=INK)
-    dress(strip, "")
+    dress(strip, "", up=unit)
     strip.text(
         0.006, 0.94, "data minus model", transform=strip.transAxes, va="top", fontsize=9, color=INK,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
@@ -170,16 +157,14 @@ def _draw_curve(panel: Axes, fit: Fit) -> None:
     a, b, c = (term.value / RPM for term in fit.speed_curve)
     panel.plot(100 * throttle, (a * throttle + b) * throttle + c, color=MODEL, lw=1.6, zorder=3)
     panel.set_ylim(*_reach(recording.speed[settled] / RPM))
-    panel.set_xlabel("throttle, %", color=INK)
-    panel.set_ylabel("rpm", color=INK)
-    dress(panel, f"H(u) = {a:.0f} u² {'+' if b >= 0 else '-'} {abs(b):.0f} u + {c:.0f} rpm")
+    title = f"H(u) = {a:.0f} u² {'+' if b >= 0 else '-'} {abs(b):.0f} u + {c:.0f} rpm"
+    dress(panel, title, "throttle, %", "rpm")
 
 
 def _draw_coefficient(panel: Axes, fit: Fit, name: str) -> None:
     """Draw K_T or K_Q of each steady row, and as fitted."""
     speed = fit.clean_speed
-    thrust_terms = [term.value for term in fit.thrust_coefficient]
-    load = np.polynomial.polynomial.polyval(speed, thrust_terms) * speed**2
+    load = polynomial(fit.thrust_coefficient, speed) * speed**2
     if name == "thrust":
         terms, off, symbol, unit = fit.thrust_coefficient, fit.outliers[1], "K_T", "N s²/rad²"
         values, below = fit.recording.thrust, speed**2
@@ -188,14 +173,12 @@ def _draw_coefficient(panel: Axes, fit: Fit, name: str) -> None:
         values, below = fit.recording.torque, load
     shown = fit.steady & ~off & (speed > TURNING * fit.speed_max)
     speeds = np.linspace(TURNING * fit.speed_max, fit.speed_max, 201)
-    fitted = np.polynomial.polynomial.polyval(speeds, [term.value for term in terms])
+    fitted = polynomial(terms, speeds)
     exponent = math.floor(math.log10(float(np.median(fitted))))
     _dots(panel, speed[shown] / RPM, values[shown] / below[shown] / 10.0**exponent)
     panel.plot(speeds / RPM, fitted / 10.0**exponent, color=MODEL, lw=1.6, zorder=3)
     panel.set_ylim(0.0, 2.0 * float(fitted.max()) / 10.0**exponent)
-    panel.set_xlabel("rotor speed, rpm", color=INK)
-    panel.set_ylabel(f"$10^{{{exponent}}}$ {unit}", color=INK)
-    dress(panel, f"{symbol} = {_polynomial(terms)} {unit}")
+    dress(panel, f"{symbol} = {_polynomial(terms)} {unit}", "rotor speed, rpm", f"$10^{{{exponent}}}$ {unit}")
 
 
 def _draw_steps(panel: Axes, fit: Fit, *, rising: bool) -> None:
@@ -217,10 +200,8 @@ def _draw_steps(panel: Axes, fit: Fit, *, rising: bool) -> None:
         panel.plot(ms, recording.speed[near] / RPM, ".", color=colour, ms=3, alpha=0.35, mew=0)
         label = f"{100 * throttle[row - 1]:.0f} to {100 * throttle[row]:.0f} %"
         panel.plot(ms, fit.speed[near] / RPM, color=colour, lw=1.5, label=label if number <= 8 else None)
-    panel.set_xlabel("time since the step, ms", color=INK)
-    panel.set_ylabel("rpm", color=INK)
     panel.set_xlim(-1000 * BEFORE_S, 1000 * after)
-    dress(panel, f"steps {'up' if rising else 'down'}: data and model")
+    dress(panel, f"steps {'up' if rising else 'down'}: data and model", "time since the step, ms", "rpm")
     panel.legend(loc="upper left" if rising else "upper right", frameon=False, fontsize=9, handlelength=1.6)
 
 
@@ -241,7 +222,7 @@ def _shown(name: str, values: Array) -> Array:
     return values / RPM if name == "speed" else values
 
 
-def _thinned(count: int) -> NDArray[np.bool_]:
+def _thinned(count: int) -> Flags:
     """Select every n-th row, such that at most ROWS_SHOWN are left."""
     shown = np.zeros(count, bool)
     shown[:: -(-count // ROWS_SHOWN)] = True

@@ -11,17 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.identification.dyno.fit import NO_TORQUE, fit_polynomial, static_slopes
 from neuroflight.sim.identification.dyno.model import quadratic, quadratic_errors
-from neuroflight.sim.identification.dyno.robust_fit import Estimate
+from neuroflight.sim.identification.dyno.robust_fit import Estimate, polynomial
 from neuroflight.sim.identification.dyno.signal import JUMP, NOISE_FLOOR, deviation
 from neuroflight.sim.identification.dyno.stand import POINTS_MIN, Stand
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 STRONG = 0.25  # part of the greatest thrust: rows above it give a first estimate
 SLIP = 0.2  # of the greatest thrust: a row this far off, and SLIPS_OFF times the others' distance, is a slip
@@ -89,26 +86,27 @@ def fit_points(stands: Sequence[Stand], reason: str, *, speed_dependent: bool = 
         notes.append(
             f"{int(slips.sum())} rows with a speed that cannot be, by the thrust of the others: left out"
         )
-    w, load = speed[used], speed[used] ** 2
-    if speed_dependent:
-        thrust_terms = fit_polynomial(w, load, thrust[used], float(w.max()), True, "thrust")
-    else:
-        thrust_terms = (_through_zero(load, thrust[used]),)
-    thrust_left = _left(thrust[used] - _at(thrust_terms, w) * load, thrust[used])
+
+    def terms(w: Array, load: Array, values: Array, name: str) -> tuple[tuple[Estimate, ...], float]:
+        """Return the coefficient of `values` over `load` at speeds `w`, and the rms of what it leaves."""
+        found: tuple[Estimate, ...] = (_through_zero(load, values),)
+        if speed_dependent:
+            found = fit_polynomial(w, load, values, float(w.max()), True, name)
+        rest = values - polynomial(found, w) * load
+        return found, float(np.sqrt(np.mean(rest**2)) / np.abs(values).max())
+
+    thrust_terms, thrust_left = terms(speed[used], speed[used] ** 2, thrust[used], "thrust")
     torque_terms: tuple[Estimate, ...] = ()
     torque_left = 0.0
     if torque is not None:  # torque may be in other rows than thrust, if the stand reads its sensors in turns
         braked = (speed > 0.0) & np.isfinite(torque) & ~slips
-        w, loads = speed[braked], _at(thrust_terms, speed[braked]) * speed[braked] ** 2
+        w = speed[braked]
         if len(w) < POINTS_MIN:
             raise DynoError(
                 f"{where}: {len(w)} rows with a torque, expected at least {POINTS_MIN}; record more levels"
             )
-        if speed_dependent:
-            torque_terms = fit_polynomial(w, loads, torque[braked], float(w.max()), True, "torque")
-        else:
-            torque_terms = (_through_zero(loads, torque[braked]),)
-        torque_left = _left(torque[braked] - _at(torque_terms, w) * loads, torque[braked])
+        load = polynomial(thrust_terms, w) * w**2
+        torque_terms, torque_left = terms(w, load, torque[braked], "torque")
     against = int((thrust[used] < -SLIP * top).sum())
     if thrust_left > LEFT_MAX:
         wind = f", in {against} rows it pulls the other way: was it in wind?" if against else "."
@@ -146,11 +144,6 @@ def _all(stands: Sequence[Stand], name: str) -> Array | None:
     return None if any(column is None for column in columns) else np.concatenate(columns)
 
 
-def _at(terms: tuple[Estimate, ...], speed: Array) -> Array:
-    """Evaluate a polynomial at these speeds (n,)."""
-    return np.asarray(np.polynomial.polynomial.polyval(speed, [term.value for term in terms]), np.float64)
-
-
 def _through_zero(load: Array, values: Array) -> Estimate:
     """Return the factor k of values = k load by least squares, with its standard error."""
     square = float(load @ load)
@@ -159,12 +152,8 @@ def _through_zero(load: Array, values: Array) -> Estimate:
     return Estimate(factor, math.sqrt(float(rest @ rest) / (len(values) - 1) / square))
 
 
-def _left(rest: Array, values: Array) -> float:
-    return float(np.sqrt(np.mean(rest**2)) / np.abs(values).max())
-
-
 def _curve(
-    throttle: Array, speed: Array, turning: Rows, notes: list[str]
+    throttle: Array, speed: Array, turning: Flags, notes: list[str]
 ) -> tuple[Estimate, Estimate, Estimate] | None:
     levels = np.unique(np.round(throttle[turning] / JUMP))
     if len(levels) < 3:

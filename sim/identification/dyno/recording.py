@@ -19,14 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.table import read_text
 from neuroflight.toolchain.errors import DynoError
 from neuroflight.toolchain.files import write_text
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("time_s", "throttle", "rpm", "thrust_n", "torque_n_m")
 FILE_BYTES_MAX = 128 << 20

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import FirstOrderResponse, Response, TorqueResponse
+from neuroflight.sim.arrays import Array, Flags, Indices
 from neuroflight.sim.identification.dyno.model import (
     UNLIMITED,
     Dynamics,
@@ -30,8 +30,6 @@ from neuroflight.sim.identification.dyno.signal import (
     transient_rows,
     without_spikes,
 )
-
-Array = NDArray[np.float64]
 
 KINDS = ("torque", "first_order")
 DELAY_MAX = 0.1  # [s], the most an aircraft file may hold
@@ -56,9 +54,7 @@ class ResponseFit:
     rate_down: Estimate
     slew_up: Estimate | None  # [rad/s^2], torque_up / inertia; None: a first-order lag
     slew_down: Estimate | None
-    reached: tuple[
-        bool, bool
-    ]  # whether a step ran into the limit up, down; if not, the slew is a lower bound
+    reached: tuple[bool, bool]  # whether a step ran into the limit up, down; else the slew is a lower bound
     delay: Estimate  # [s]
     rms: float  # [rad/s], of the speed's residuals, outliers left out
 
@@ -96,7 +92,7 @@ def fit_response(
     kind: str,
     recording: Recording,
     schedule: Schedule,
-    rows: NDArray[np.intp],
+    rows: Indices,
     slopes: Array,
     noise: float,
     full: float,
@@ -201,7 +197,7 @@ def _response_fit(
 
 
 def _lags(
-    recording: Recording, throttle: Array, rows: NDArray[np.intp], slopes: Array, shown: NDArray[np.bool_]
+    recording: Recording, throttle: Array, rows: Indices, slopes: Array, shown: Flags
 ) -> tuple[float, float]:
     """Compute the median time up and down to 63 % of the way from one held speed to the next [s]."""
     speed = without_spikes(recording.speed, recording.starts)
@@ -217,7 +213,7 @@ def _lags(
     return max(rise, 1e-3), max(fall, 1e-3)
 
 
-def why_none(throttle: Array, rows: NDArray[np.intp]) -> str:
+def why_none(throttle: Array, rows: Indices) -> str:
     change = throttle[rows] - throttle[rows - 1]
     missing = [name for name, found in (("up", change > 0), ("down", change < 0)) if not found.any()]
     if not missing:

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
+from neuroflight.sim.arrays import Array
 
 TOLERANCE = 1e-7  # of cost and parameters: with 1e5 rows still a small part of a standard error
 
@@ -20,6 +19,11 @@ class Estimate:
 
     value: float
     error: float
+
+
+def polynomial(terms: tuple[Estimate, ...], at: Array) -> Array:
+    """Evaluate a polynomial, its lowest power first, any shape."""
+    return np.asarray(np.polynomial.polynomial.polyval(at, [term.value for term in terms]), np.float64)
 
 
 def robust_fit(

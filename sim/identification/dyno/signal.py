@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from neuroflight.sim.arrays import Array, Flags, Indices
 from neuroflight.sim.identification.dyno.recording import Recording
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 JUMP = 0.1  # throttle change between two rows that counts as a step
 SETTLED_S = 0.5  # [s] after a jump, when a rotor is taken to have settled
@@ -41,14 +38,14 @@ def commanded(recording: Recording) -> Array:
     return np.clip(throttle, 0.0, 1.0)
 
 
-def jumps(recording: Recording) -> NDArray[np.intp]:
+def jumps(recording: Recording) -> Indices:
     """Return the rows at which throttle has just jumped, without single slips of the logger."""
     throttle = commanded(recording)
     moved = np.flatnonzero(np.abs(np.diff(throttle)) > JUMP) + 1
     return np.setdiff1d(moved, recording.starts)
 
 
-def since_jump(recording: Recording, rows: NDArray[np.intp]) -> Array:
+def since_jump(recording: Recording, rows: Indices) -> Array:
     """Compute the time since the last jump, or since the run began [s], (N,)."""
     marks = np.union1d(rows, recording.starts).astype(int)
     index = np.searchsorted(marks, np.arange(len(recording.time)), side="right") - 1
@@ -56,8 +53,8 @@ def since_jump(recording: Recording, rows: NDArray[np.intp]) -> Array:
     return since
 
 
-def settled_rows(recording: Recording, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-    settled: NDArray[np.bool_] = since_jump(recording, rows) > SETTLED_S
+def settled_rows(recording: Recording, rows: Indices) -> Flags:
+    settled: Flags = since_jump(recording, rows) > SETTLED_S
     if not settled.any():
         raise DynoError(
             f"throttle jumps again within every {SETTLED_S:g} s, expected steps that are held; hold each "
@@ -66,7 +63,7 @@ def settled_rows(recording: Recording, rows: NDArray[np.intp]) -> NDArray[np.boo
     return settled
 
 
-def transient_rows(recording: Recording, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+def transient_rows(recording: Recording, rows: Indices) -> Flags:
     """Return the rows shortly after a jump."""
     shown = since_jump(recording, rows) < WINDOW_S
     for start in recording.starts:
@@ -75,9 +72,9 @@ def transient_rows(recording: Recording, rows: NDArray[np.intp]) -> NDArray[np.b
     return shown
 
 
-def steady_rows(recording: Recording, speed: Array, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+def steady_rows(recording: Recording, speed: Array, rows: Indices) -> Flags:
     """Return the rows at which the rotor hardly accelerates: others lag or contain inertia."""
-    calm: Rows = np.abs(np.gradient(speed, recording.time)) < STEADY * speed.max()
+    calm: Flags = np.abs(np.gradient(speed, recording.time)) < STEADY * speed.max()
     calm &= since_jump(recording, rows) > SMOOTH_S
     if calm.sum() < 5 * SMOOTH_ROWS:
         return np.ones(len(speed), bool)
@@ -99,7 +96,7 @@ def _neighbours(values: Array, starts: tuple[int, ...]) -> Array:
     return np.concatenate([median_filter(piece, SMOOTH_ROWS, mode="nearest") for piece in pieces])
 
 
-def outliers(values: Array, starts: tuple[int, ...]) -> NDArray[np.bool_]:
+def outliers(values: Array, starts: tuple[int, ...]) -> Flags:
     """Return the rows far from the median of their neighbours. Noise may grow with value."""
     middle = _neighbours(values, starts)
     away = values - middle
@@ -115,7 +112,7 @@ def outliers(values: Array, starts: tuple[int, ...]) -> NDArray[np.bool_]:
     return np.abs(away) > OUTLIER * scale
 
 
-def average(values: Array, kept: NDArray[np.bool_], recording: Recording) -> Array:
+def average(values: Array, kept: Flags, recording: Recording) -> Array:
     """Compute the running mean over SMOOTH_S of the rows that are kept; `values` are 0 elsewhere."""
     period = float(np.median(np.diff(recording.time)))
     width = max(SMOOTH_ROWS, round(SMOOTH_S / period))

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import RPM
+from neuroflight.sim.arrays import Array, Flags
 from neuroflight.sim.identification.dyno.headings import (
     FRACTION,
     SHOWN,
@@ -36,8 +36,6 @@ from neuroflight.sim.identification.dyno.recording import (
 from neuroflight.sim.identification.recording import is_log
 from neuroflight.sim.identification.table import MISSING, Table, find_table, is_number, numbers, read_text
 from neuroflight.toolchain.errors import DynoError
-
-Array = NDArray[np.float64]
 
 POINTS_MIN = 3
 APART_MAX_S = 0.1  # longest time between rows that still shows a rotor's response
@@ -380,7 +378,7 @@ def _believed(table: Table, speeds: Sequence[tuple[int, Array]], notes: list[str
     return speed
 
 
-def _upright(name: str, values: Array, fast: NDArray[np.bool_], notes: list[str]) -> Array:
+def _upright(name: str, values: Array, fast: Flags, notes: list[str]) -> Array:
     """Return `values` with the sign that makes them positive while the rotor is fast."""
     there = values[fast & np.isfinite(values)]
     if not len(there) or float(np.median(there)) >= 0.0:

@@ -12,12 +12,6 @@ void air_body_drag(double density, const double *air_velocity, const double *dra
 		force[j] = pressure * v[j] * drag_area[j];
 }
 
-void air_drag(size_t count, double density, const double *air_velocity, const double *drag_area, double *force)
-{
-	for (size_t i = 0; i < count; ++i)
-		air_body_drag(density, air_velocity + 3u * i, drag_area, force + 3u * i);
-}
-
 /* The air's velocity from the states of the gusts. */
 void wind_blow(struct wind *w, size_t count)
 {

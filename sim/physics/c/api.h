@@ -123,7 +123,6 @@ struct wind {
 	double *velocity;      /* (N, 3) [m/s] of the air, world axes */
 };
 
-void air_drag(size_t count, double density, const double *air_velocity, const double *drag_area, double *force);
 void wind_step(struct wind *w, size_t count, const double *airspeed);
 void wind_blow(struct wind *w, size_t count);
 

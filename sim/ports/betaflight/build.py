@@ -70,7 +70,6 @@ def is_built(folder: Path) -> bool:
 
 
 def _places(folder: Path) -> tuple[Path, Path]:
-    """Return the paths of the program and the clock."""
     clock = f"clock-{hashlib.sha256(CLOCK.read_bytes()).hexdigest()[:12]}.so"
     return folder / f"betaflight-{VERSION}-sitl", folder / clock
 

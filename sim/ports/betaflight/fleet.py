@@ -22,18 +22,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.control import sticks
 from neuroflight.sim.control.motors import motor_fractions
 from neuroflight.sim.physics.twin import Live
 from neuroflight.sim.ports.betaflight.build import Betaflight
 from neuroflight.sim.ports.betaflight.port import (
     AT_REST,
-    FULL_US,
     STOP_US,
     TIME_MARGIN,
-    WIRE_RATE_PER_COUNT,
     BetaflightPort,
     aircraft_settings,
+    dshot_of_widths,
+    wire_rates,
 )
 from neuroflight.sim.ports.betaflight.process import ANSWER_S, BetaflightProcess
 from neuroflight.sim.ports.betaflight.tune import Tune
@@ -42,9 +43,6 @@ from neuroflight.toolchain.contract import (
     BOOT_GRACE_MS,
     CALIBRATION_MS,
     CHANNEL_COUNT,
-    DSHOT_MIN,
-    DSHOT_SPAN,
-    DSHOT_STOP,
     GYRO_RATE_DEFAULT_HZ,
 )
 from neuroflight.toolchain.errors import LinkError
@@ -54,7 +52,6 @@ SWITCH_OFF_S = (max(BOOT_GRACE_MS, CALIBRATION_MS) + 50) / 1000  # before the fi
 SWITCH_PERIOD_S = 0.1  # of each further try: on, then off
 FRAME_S = 0.01  # between receiver frames until it is armed
 DESCRIPTORS = 64  # open files of a program beside the sockets to copies
-_WIRE_SIGNS = np.array([1.0, -1.0, -1.0])  # forward, left, up to forward, right, down
 _KINDS = {"float64": "double[]", "float32": "float[]", "uint16": "uint16_t[]", "bool": "bool[]"}
 
 
@@ -94,12 +91,10 @@ class ArmedBetaflight:
 
     @property
     def gyro_rate_hz(self) -> int:
-        """Samples of the gyro a second."""
         return self.port.gyro_rate_hz
 
     @property
     def process(self) -> BetaflightProcess:
-        """The program."""
         return self.port.process
 
     def _arm(self) -> int:
@@ -175,7 +170,7 @@ class BetaflightFleet:
         """End the copies, which end with their sockets. May be called twice."""
         self._end.close()
 
-    def exchange(self, raw: NDArray[np.int16], channels: NDArray[np.uint16] | None) -> NDArray[np.float64]:
+    def exchange(self, raw: NDArray[np.int16], channels: NDArray[np.uint16] | None) -> Array:
         """Return motor fractions (N, M) that follow on a sample with the gyro counts `raw` (N, 3).
 
         channels: (N, CHANNEL_COUNT) [us], a receiver frame for each; None: none. The other sensors are the
@@ -199,23 +194,6 @@ class BetaflightFleet:
         if result != lib.LINK_NEW:
             raise LinkError(f"Betaflight: copy {state.next + 1} is gone (errno {state.error})")
         return motor_fractions(dshot_of_widths(self._widths))
-
-
-def wire_rates(raw: NDArray[np.int16]) -> NDArray[np.float64]:
-    """Compute rates [rad/s] (N, 3), in the wire's axes, that Betaflight converts to the counts `raw` (N, 3).
-
-    They lie in the middle of the rates that give this count; 0 for a count of 0.
-    """
-    number = raw.astype(np.float64)
-    rates: NDArray[np.float64] = (number + 0.5 * np.sign(number)) * (WIRE_RATE_PER_COUNT * _WIRE_SIGNS)
-    return rates
-
-
-def dshot_of_widths(widths: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Compute DShot values of pulse widths [us], any shape: 0 for a stopped motor."""
-    fraction = np.clip((widths.astype(np.float64) - STOP_US) / (FULL_US - STOP_US), 0.0, 1.0)
-    value = DSHOT_MIN + np.floor(DSHOT_SPAN * fraction + 0.5)
-    return np.where(fraction > 0.0, value, DSHOT_STOP).astype(np.uint16)
 
 
 def _allow_files(count: int) -> None:

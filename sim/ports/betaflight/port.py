@@ -30,6 +30,7 @@ from neuroflight.flash.link import messages
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.transport import Transport
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.control import sticks
 from neuroflight.sim.physics.imu import RATE_PER_COUNT, counts
 from neuroflight.sim.ports.betaflight.build import Betaflight
@@ -99,6 +100,7 @@ COUNTS_PER_DEG_S = 16.4  # of its virtual gyro, which drops fractions of a count
 TIME_MARGIN = 1e-9
 
 WIRE_RATE_PER_COUNT = float(np.deg2rad(1 / COUNTS_PER_DEG_S))  # [rad/s]
+WIRE_SIGNS = np.array([1.0, -1.0, -1.0])  # forward, left, up to forward, right, down
 
 
 class BetaflightPort:
@@ -136,11 +138,9 @@ class BetaflightPort:
 
     @property
     def process(self) -> BetaflightProcess:
-        """The program behind it."""
         return self._process
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
-        """See FirmwarePort."""
         time_s = self._samples / self.gyro_rate_hz * (1 + TIME_MARGIN)
         if channels_us is not None:
             self._hear(np.array(channels_us, np.uint16))
@@ -176,7 +176,6 @@ class BetaflightPort:
         self._samples += count
 
     def _hear(self, channels: NDArray[np.uint16]) -> None:
-        """Process a receiver frame."""
         self._setpoint = sticks.setpoint(channels)
         self._throttle = float(sticks.throttle(channels[None])[0])
 
@@ -189,13 +188,11 @@ class BetaflightPort:
         return raw - self._bias
 
     def arming_reasons(self) -> tuple[str, ...]:
-        """See FirmwarePort; asked over MSP."""
         with Client(self._process.open_line()) as client:
             flags = messages.status_ex(client.request(Msp.STATUS_EX)).arming_flags
         return tuple(name for bit, name in enumerate(ARMING_REASONS) if flags >> bit & 1)
 
     def close(self) -> None:
-        """See FirmwarePort."""
         self._process.close()
 
 
@@ -236,14 +233,26 @@ def state_packet(time_s: float, raw: NDArray[np.integer], sample: Sample) -> byt
     It reads rates in forward, right, down and scales them to counts of its own, dropping fractions; it
     negates all three forces.
     """
-    x, y, z = (_wire_rate(count) for count in raw.tolist())
+    x, y, z = wire_rates(raw).tolist()
     fx, fy, fz = sample.specific_force.tolist()
-    return link_packet(time_s, (x, -y, -z), (-fx, -fy, -fz), sample, SEA_LEVEL_PA)
+    return link_packet(time_s, (x, y, z), (-fx, -fy, -fz), sample, SEA_LEVEL_PA)
 
 
-def _wire_rate(count: int) -> float:
-    """Compute a rate [rad/s] in the middle of those that Betaflight converts to `count`; 0 for 0."""
-    return math.copysign(abs(count) + 0.5, count) * WIRE_RATE_PER_COUNT if count else 0.0
+def wire_rates(raw: NDArray[np.integer]) -> Array:
+    """Compute rates [rad/s] in the axes of the wire that Betaflight makes the counts `raw` of, both (..., 3).
+
+    They lie in the middle of the rates that give this count; 0 for a count of 0.
+    """
+    number = raw.astype(np.float64)
+    rates: Array = (number + 0.5 * np.sign(number)) * (WIRE_RATE_PER_COUNT * WIRE_SIGNS)
+    return rates
+
+
+def dshot_of_widths(widths: Array32) -> NDArray[np.uint16]:
+    """Compute DShot values of pulse widths [us], any shape: 0 for a stopped motor."""
+    fraction = np.clip((widths.astype(np.float64) - STOP_US) / (FULL_US - STOP_US), 0.0, 1.0)
+    value = DSHOT_MIN + np.floor(DSHOT_SPAN * fraction + 0.5)
+    return np.where(fraction > 0.0, value, DSHOT_STOP).astype(np.uint16)
 
 
 def dshot_values(packet: bytes, motors: int) -> NDArray[np.uint16]:
@@ -255,13 +264,7 @@ def dshot_values(packet: bytes, motors: int) -> NDArray[np.uint16]:
         raise LinkError(f"Betaflight: a servo packet of {count} motors, expected {motors}")
     if not all(math.isfinite(width) for width in widths[:count]):
         raise LinkError(f"Betaflight: pulse widths {widths[:count]}, expected {STOP_US} to {FULL_US} us")
-    return np.array([_dshot_value(width) for width in widths[:count]], np.uint16)
-
-
-def _dshot_value(width_us: float) -> int:
-    """Compute the DShot value of a pulse width [us]."""
-    fraction = min(max((width_us - STOP_US) / (FULL_US - STOP_US), 0.0), 1.0)
-    return int(DSHOT_MIN + math.floor(DSHOT_SPAN * fraction + 0.5)) if fraction > 0 else DSHOT_STOP
+    return dshot_of_widths(np.array(widths[:count], np.float32))
 
 
 def _enter(line: Transport, text: bytes, place: str = "") -> None:

@@ -219,14 +219,12 @@ class BetaflightProcess:
         return report
 
     def _end(self) -> None:
-        """Kill its process group."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
 
 def timeval(seconds: float) -> bytes:
-    """Encode a struct timeval."""
     return struct.pack("ll", int(seconds), round(seconds % 1 * 1e6))
 
 
@@ -234,7 +232,6 @@ class BetaflightLine:
     """A Transport to a Betaflight whose time goes on while the other end waits."""
 
     def __init__(self, process: BetaflightProcess) -> None:
-        """Connect. Raises LinkError."""
         self._process = process
         self._tcp = TcpTransport(TcpPort(LOOPBACK, process.ports[MSP_TCP_PORT]))
 
@@ -246,11 +243,9 @@ class BetaflightLine:
 
     @property
     def name(self) -> str:
-        """See Transport."""
         return self._tcp.name
 
     def read(self, timeout: float) -> bytes:
-        """See Transport."""
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
             self._process.run(STEP_NS)
@@ -259,9 +254,7 @@ class BetaflightLine:
         return b""
 
     def write(self, data: bytes) -> None:
-        """See Transport."""
         self._tcp.write(data)
 
     def close(self) -> None:
-        """See Transport."""
         self._tcp.close()

@@ -52,7 +52,6 @@ class Tune:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The lines of its command line."""
         return tuple(f"set {name} = {value}" for name, value in self.settings)
 
     @property
@@ -63,7 +62,6 @@ class Tune:
 
     @property
     def sha256(self) -> str:
-        """Digest of the lines."""
         return hashlib.sha256("\n".join(self.lines).encode()).hexdigest()
 
 
@@ -75,7 +73,7 @@ def tune_path(which: str, aircraft: str) -> Path:
     if not path.is_file():
         raise LinkError(
             f"betaflight:{TUNED}: {path} does not exist; find it by `neuroflight pid tune --of betaflight "
-            f"--aircraft {aircraft} --write {path.name}`"
+            f"--aircraft {aircraft} --out {path.name}`"
         )
     return path
 

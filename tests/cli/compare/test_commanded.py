@@ -44,7 +44,7 @@ def test_a_named_command_is_flown_by_all_and_compared_by_axis(tmp_path: Path, ca
 
 def test_continuous_commands_are_as_long_and_as_large_as_asked_for(tmp_path: Path, capsys: Capture) -> None:
     plot = tmp_path / "long.png"
-    words = ["--task", "continuous", "--length", "1", "--limit", "50", "--episodes", "3", "--no-noise"]
+    words = ["--task", "continuous", "--length", "1", "--max-rate", "50", "--episodes", "3", "--no-noise"]
     document = told(capsys, "compare", TUNED, PUBLISHED, *words, "--plot", str(plot))
     assert (document["task"], document["length_s"], document["limit_deg_s"]) == ("continuous", 1.0, 50.0)
     first, other = document["comparison"]
@@ -54,7 +54,7 @@ def test_continuous_commands_are_as_long_and_as_large_as_asked_for(tmp_path: Pat
     )
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert told(capsys, *document["command"].split()[1:])["comparison"] == document["comparison"]
-    wide = told(capsys, "evaluate", TUNED, *words, "--limit", "300", "--plot", str(plot))
+    wide = told(capsys, "evaluate", TUNED, *words, "--max-rate", "300", "--plot", str(plot))
     assert np.mean(wide["mae"]) > 2 * np.mean(first["mae"])
 
 
@@ -72,7 +72,6 @@ def test_flights_are_flown_unless_the_user_says_and_tell_rest_and_drift(
     drift = np.mean(other["holding"]["drift"]["value"]) - np.mean(first["holding"]["drift"]["value"])
     assert other["difference"]["drift"]["value"] == pytest.approx(drift)
     assert plot.read_bytes().startswith(b"\x89PNG")
-    assert told(capsys, *document["command"].split()[1:])["comparison"] == document["comparison"]
     assert main(["evaluate", TUNED, "--episodes", "3", "--length", "20", "--throttle", "0.2"]) == 0
     table = capsys.readouterr().out
     assert "3 flights of a command and a hover, 20 s" in table
@@ -97,7 +96,5 @@ def test_agents_are_averaged_and_the_best_has_the_lowest_error(capsys: Capture) 
     assert sums[0] != pytest.approx(sums[1], rel=1e-3)
     best = agents[0] if sums[0] < sums[1] else agents[1]
     assert average["best"] == best
-    turned = told(capsys, "compare", TUNED, *reversed(agents), *words[4:], "--average")
-    assert turned["average"][0]["best"] == best
-    assert main([*words, "--average"]) == 0
+    assert main(["compare", TUNED, *reversed(agents), *words[4:], "--average"]) == 0
     assert f"best of 2: {best}" in capsys.readouterr().out.replace("\n", "")

@@ -42,7 +42,7 @@ def test_a_dead_motor_shows_after_the_change_and_not_before(capsys: Capture) -> 
         assert axis in dead["lost_axes"] and dead["recovery_s"][axis] is None
     assert document["command"] == (
         f"neuroflight compare {PID} --fail 1=1 --fail 2=0.3 --suite failures --aircraft nf1 --at 0.5 "
-        "--after 0.6 --episodes 3 --seed 0 --throttle 0.4 --limit 200"
+        "--after 0.6 --episodes 3 --seed 0 --throttle 0.4 --max-rate 200"
     )
 
 

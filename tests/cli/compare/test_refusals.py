@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.cli.main import main
+from tests.refusal import refused
 
 Capture = pytest.CaptureFixture[str]
 LOAD = "60@0.04,0,0.02"
@@ -32,10 +32,10 @@ REFUSED = {  # by the words before: words after, what is told
         ("--command 0 0 nan", "--command nan"),
         ("--command 0 0 0", "expected a rate other than 0"),
         ("--task continuous --command 1 2 3", "got continuous"),
-        ("--task episodic --limit 9 --command 1 2 3", "--limit: of random commands"),
+        ("--task episodic --limit 9 --command 1 2 3", "--max-rate: of random commands"),
         ("--length 15", "--length 15.0, expected 20 to 600"),
         ("--task pulse --length 5", "or the pilot's with --sigma, got pulse"),
-        ("--limit 50", "--limit: of the episodic and the continuous task, got flight"),
+        ("--max-rate 50", "--max-rate: of the episodic and the continuous task, got flight"),
         ("--task flight --command 1 2 3", "got flight"),
         ("--episodes 1700", "170 episodes of 60 s, expected at most 10000 s together"),
         ("--task continuous --length 0", "--length 0.0, expected 0.1 to 600"),
@@ -44,13 +44,13 @@ REFUSED = {  # by the words before: words after, what is told
         ("--suite pulses --task pulse", "--task: --suite pulses says what is flown"),
         ("--one --throttle 0 1", "--one: expected one controller"),
         ("pid:tuned --one", "--one: expected one controller"),
-        ("--commands pilot.csv --limit 5", "--limit: the commands are those of pilot.csv"),
+        ("--commands pilot.csv --limit 5", "--max-rate: the commands are those of pilot.csv"),
         ("--commands pilot.csv --task pulse", "--task: the commands are those of pilot.csv; leave it out"),
         ("--commands pilot.csv --episodes 3", "--episodes: the commands are those of pilot.csv"),
         ("--commands pilot.csv --piece 0.01", "--piece 0.01, expected 0.1 to 3600"),
         ("--commands none.csv", "recording none.csv: no such file"),
-        ("--piece 3", "--piece: cuts recorded commands; give them with --commands"),
-        ("--from 1", "--from, --to, --header, --cut-rates: of recorded commands; give them with --commands"),
+        ("--piece 3", "--piece: of recorded commands; give them with --commands"),
+        ("--from 1", "--from: of recorded commands; give them with --commands"),
         ("--commands pilot.csv --from 9", "pilot has no row from 9 s to its end; it is 0.010 s long"),
         ("--commands pilot.csv --header rates", "--header: got 'rates', expected NAME=VALUE"),
     ),
@@ -82,7 +82,7 @@ REFUSED = {  # by the words before: words after, what is told
         ("--after 0.1", "--after 0.1, expected 0.5 to 60"),
         ("--episodes 0", "--episodes 0, expected 1 to 4096"),
         ("--throttle 1.1", "--throttle 1.1, expected 0 to 1"),
-        ("--limit 900", "--limit 900, expected 0 to 500"),
+        ("--limit 900", "--max-rate 900, expected 0 to 500"),
         ("--seed -1", "--seed -1, expected 0 or more"),
         ("betaflight --give-up-yaw", "--give-up-yaw: Betaflight cannot be told to"),
         ("--plot errors.pdf", "ends in .png"),
@@ -120,9 +120,5 @@ def test_a_mistake_is_one_line_before_anything_is_flown(
     monkeypatch.setattr(
         "neuroflight.training.evaluation.controllers.record", lambda *_, **__: pytest.fail("it was flown")
     )
-    assert main(words.split()) == 1
-    captured = capsys.readouterr()
-    assert message in captured.err
-    assert captured.err.startswith("neuroflight: ") and captured.err.count("\n") == 1
-    assert captured.out == ""
+    assert message in refused(capsys, words.split())
     assert [path.name for path in tmp_path.iterdir()] == ["pilot.csv"]

@@ -127,8 +127,12 @@ class Bench:
         return bool(self.lib.reference_restore(self._memory, state, len(state), layout))
 
     def step_of(self, record: Any) -> Any:
-        step = self.core.new("struct replay_step *")
-        self.lib.replay_step_of(step, record)
+        step, ffi = self.core.new("struct replay_step *"), self.core.ffi
+        for name in ("forbidden", "voltage_gain", "edge_flags", "lost", "samples", "receiver_count"):
+            setattr(step, name, getattr(record, name))
+        for name in ("accel", "gyro", "receiver_bytes"):
+            array = getattr(record, name)
+            ffi.memmove(getattr(step, name), array, ffi.sizeof(array))
         return step
 
     def replay(self, step: Any) -> int:

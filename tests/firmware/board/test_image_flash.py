@@ -38,11 +38,13 @@ class Flash:
         sketch.uc.hook_add(UC_HOOK_MEM_READ, self._read_flash, begin=FLASH_BASE, end=end)
 
     def erase(self, sector: int) -> bool:
-        return bool(self.sketch.call_with(self.symbols["hal_flash_erase"], 0, sector))
+        return bool(self.sketch.call_with(self.symbols["flash_memory_erase"], 0, sector))
 
     def program(self, address: int, data: bytes, source: int = SRAM1.address + 0x8000) -> bool:
         self.sketch.uc.mem_write(source, data)
-        return bool(self.sketch.call_with(self.symbols["hal_flash_program"], 0, address, source, len(data)))
+        return bool(
+            self.sketch.call_with(self.symbols["flash_memory_program"], 0, address, source, len(data))
+        )
 
     def contents(self, address: int, count: int) -> bytes:
         return bytes(self.sketch.uc.mem_read(address, count))

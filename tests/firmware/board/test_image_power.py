@@ -23,7 +23,7 @@ class Power:
 
     def read(self) -> tuple[int, int, bool]:
         """struct power_sample."""
-        self.sketch.call_with(self.symbols["hal_power_read"], 0, SCRATCH)
+        self.sketch.call_with(self.symbols["power_read"], 0, SCRATCH)
         volts, amps, valid = struct.unpack("<HH?", self.sketch.uc.mem_read(SCRATCH, 5))
         return volts, amps, valid
 

@@ -70,16 +70,17 @@ def test_the_sweep_is_the_formulas_when_it_runs(
     for step in range(steps):
         setpoint = sweep.step(asked=20.0)
         assert sweep.axis == 0
-        assert sweep.state.frequency_hz == pytest.approx(frequency[step], rel=1e-3)
-        assert math.remainder(sweep.state.phase - turns[step], 1.0) == pytest.approx(0.0, abs=5e-3)
-        assert 0.0 <= sweep.state.phase < 1.0
-        assert sweep.state.sine == pytest.approx(math.sin(math.tau * sweep.state.phase), abs=1e-6)
+        assert sweep.state.sweep.frequency_hz == pytest.approx(frequency[step], rel=1e-3)
+        assert math.remainder(sweep.state.sweep.phase - turns[step], 1.0) == pytest.approx(0.0, abs=5e-3)
+        assert 0.0 <= sweep.state.sweep.phase < 1.0
+        assert sweep.state.sweep.sine == pytest.approx(math.sin(math.tau * sweep.state.sweep.phase), abs=1e-6)
         low += gain * (sine[step] - low)
         added = 100.0 * (share * sine[step] + (1 - share) * low)
         assert setpoint == pytest.approx([20.0 + added, 20.0, 20.0], abs=1.0)
-        assert math.degrees(sweep.state.added) == pytest.approx(setpoint[0] - 20.0, abs=1e-3)
+        assert math.degrees(sweep.state.sweep.added) == pytest.approx(setpoint[0] - 20.0, abs=1e-3)
     assert sweep.step(asked=20.0) == pytest.approx([20.0] * 3)
-    assert (sweep.axis, sweep.state.frequency_hz, sweep.state.phase, sweep.state.added) == (-1, 0, 0, 0)
+    spent = sweep.state.sweep
+    assert (sweep.axis, spent.frequency_hz, spent.phase, spent.added) == (-1, 0, 0, 0)
     assert list(sweep.state.room) == [0, 0, 0]
 
 
@@ -107,20 +108,20 @@ def test_it_ends_at_once_and_begins_anew_only_after_the_mode_was_off(
     if why.get("on", True):
         assert {tuple(sweep.step(asked=0.0)) for _ in range(100)} == {(0.0, 0.0, 0.0)}
         sweep.step(on=False)
-    assert sweep.state.state == IDLE
+    assert sweep.state.sweep.state == IDLE
     sweep.step()
-    assert (sweep.axis, sweep.state.phase, sweep.state.frequency_hz) == (1, 0.0, 1.0)
+    assert (sweep.axis, sweep.state.sweep.phase, sweep.state.sweep.frequency_hz) == (1, 0.0, 1.0)
 
 
 def test_it_does_not_begin_when_the_mode_came_on_where_it_is_not_allowed(scripted: Any) -> None:
     sweep = Sweep(scripted)
     sweep.step(allowed=False)
-    assert sweep.state.state == SPENT
+    assert sweep.state.sweep.state == SPENT
     for _ in range(50):
         assert sweep.step(asked=5.0) == pytest.approx([5.0] * 3)
     sweep.step(on=False)
     sweep.step()
-    assert (sweep.state.state, sweep.axis) == (RUNNING, 0), "no axis was passed over"
+    assert (sweep.state.sweep.state, sweep.axis) == (RUNNING, 0), "no axis was passed over"
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -135,7 +136,7 @@ def test_room_for_errors_follows_what_excites_the_axis_and_fades(scripted: Any) 
     sweep, most = Sweep(scripted, end=1.0), 0.0
     for _ in range(400):
         sweep.step()
-        most = max(most * math.exp(-1 / CHIRP_FADE_MS), abs(sweep.state.added))
+        most = max(most * math.exp(-1 / CHIRP_FADE_MS), abs(sweep.state.sweep.added))
         assert sweep.state.room[0] == pytest.approx(CHIRP_ERROR_FACTOR * most, rel=1e-3)
         assert list(sweep.state.room)[1:] == [0.0, 0.0]
     assert most > math.radians(50.0)

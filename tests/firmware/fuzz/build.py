@@ -91,6 +91,7 @@ class Workbench:
             "-fshort-enums",
             "-Wall",
             "-Wextra",
+            "-Wno-unused-parameter",
             "-Werror",
             *COMMON.replace("-w ", "").split(),
         ]

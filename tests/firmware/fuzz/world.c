@@ -117,17 +117,19 @@ static void world_boot(struct world *w, bool msp)
 {
 	struct setting_change change = { .index = settings_find("receiver_protocol") };
 	const struct background_config config = {
-		.hal = &w->hal,
+		.board = {
+			.hal = &w->hal,
+			.alignment = HOST_GYRO_ALIGNMENT,
+			.identity = host_identity,
+			.changes = &change,
+			.change_count = msp,
+			.gyro_rate_hz = GYRO_HZ,
+			.cycles_hz = 1000000000u,
+		},
 		.firmware = &w->firmware,
 		.weights = w->weights,
 		.stats = w->stats,
-		.alignment = HOST_GYRO_ALIGNMENT,
 		.pid = &pid_gains_built_in,
-		.identity = &host_identity,
-		.changes = &change,
-		.change_count = msp,
-		.gyro_rate_hz = GYRO_HZ,
-		.cycles_hz = 1000000000u,
 	};
 
 	memset(w, 0, sizeof *w);

@@ -2,11 +2,11 @@
 
 A recording has a line for each thing that happened. Numbers are MSP's, payloads hexadecimal:
 
-    connect                 a connection, and what the app asks first
+    connect                 a connection, what the app asks first, and its first tab
     NUMBER [HEX] = [HEX]    a request, and the reply to it
-    NUMBER [HEX] : COUNT    a request, and the bytes of its reply, which this test does not look at
     NUMBER [HEX] refused    a request that is refused on purpose
-    poll                    what it asks every 250 ms, whatever tab is shown
+    reads NUMBER[/HEX]:COUNT ...  requests of a tab, and the bytes of each reply, which is not looked at
+    poll [N]                N times (once): 250 ms, and what it asks then, whatever tab is shown
     frame LINE              a command line in a frame, answered without an error
     frame! LINE             likewise, with one
     typed TEXT              for the command line (\\n, \\r as such): its next prompt comes without an error
@@ -30,12 +30,13 @@ from typing import Any
 from neuroflight.flash.link.msp import Decoder, Direction, Message, encode, request
 
 GYRO_HZ = 1000
-POLL = (110, 130, 116, 150)
+POLL, POLL_MS = (110, 130, 116, 150), 250
 # What the app asks when it has connected, before it shows a tab.
 HANDSHAKE = (
     *((1, ""), (2, ""), (3, ""), (5, ""), (4, ""), (101, ""), (160, ""), (12294, "05"), (12294, "02")),
     *((12294, "01"), (99, "0100"), (246, "0db8086ba002"), (36, ""), (32, ""), (80, ""), (70, ""), (79, "")),
 )
+FIRST_TAB = "240:4 12300:6 42:2 126:11 90:20"
 REFUSED_AT_FIRST = {(12294, "05"), (246, "0db8086ba002")}  # the build's key, the time of day
 ENDS = ("save", "exit")  # a session, with a restart
 STX, ETX, PROMPT, LAST_WORD = b"\x02", b"\x03", b"\r\n# ", b"Rebooting\r\n"
@@ -60,7 +61,8 @@ class Replay:
         word, _, rest = line.partition(" ")
         known: dict[str, Callable[[str], None]] = {
             "connect": self._connect,
-            "poll": self._poll,
+            "reads": self._reads,
+            "poll": lambda times: self._poll(int(times or 1)),
             "frame": self._frame,
             "frame!": lambda command: self._frame(command, error=True),
             "typed": self._typed,
@@ -80,10 +82,20 @@ class Replay:
         for number, payload in HANDSHAKE:
             told = self._ask(number, bytes.fromhex(payload))
             assert (told is None) == ((number, payload) in REFUSED_AT_FIRST), (number, payload)
+        self._reads(FIRST_TAB)
 
-    def _poll(self, _: str) -> None:
-        for number in POLL:
-            assert self._ask(number, b"") is not None, number
+    def _reads(self, requests: str) -> None:
+        for each in requests.split():
+            asked, count = each.split(":")
+            number, _, payload = asked.partition("/")
+            reply = self._ask(int(number), bytes.fromhex(payload))
+            assert reply is not None and len(reply) == int(count), each
+
+    def _poll(self, times: int) -> None:
+        for _ in range(times):
+            self._run(POLL_MS)
+            for number in POLL:
+                assert self._ask(number, b"") is not None, number
 
     def _ask(self, number: int, payload: bytes) -> bytes | None:
         """The reply, None: it was refused."""
@@ -98,15 +110,11 @@ class Replay:
                 return event.payload if event.direction == Direction.REPLY else None
 
     def _request(self, line: str) -> None:
-        asked, sign, told = (part.strip() for part in line.partition("=" if "=" in line else ":"))
+        asked, sign, told = (part.strip() for part in line.partition("="))
         number, *payload = asked.removesuffix("refused").split()
         reply = self._ask(int(number), bytes.fromhex("".join(payload)))
-        if sign == "":
-            assert asked.endswith("refused"), line
-            assert reply is None, "it was taken"
-        else:
-            assert reply is not None, "it was refused"
-            assert told == (reply.hex() if sign == "=" else str(len(reply)))
+        assert (reply is None) == asked.endswith("refused") == (sign == ""), "refused, or not"
+        assert reply is None or reply.hex() == told
 
     def _frame(self, command: str, error: bool = False) -> None:
         assert self._peer is not None

@@ -36,7 +36,7 @@ class Battery:
 
     @property
     def level(self) -> int:
-        return int(self._lib.battery_level(self.struct))
+        return int(self.struct.level)
 
     @property
     def cells(self) -> int:
@@ -44,11 +44,11 @@ class Battery:
 
     @property
     def sag(self) -> float:
-        return float(self._lib.battery_sag(self.struct))
+        return float(self.struct.rest_volts - self.struct.volts)
 
     @property
     def mah(self) -> int:
-        return int(self._lib.battery_mah(self.struct))
+        return int(self.struct.mah)
 
 
 Make = Callable[..., Battery]
@@ -57,6 +57,11 @@ Make = Callable[..., Battery]
 @pytest.fixture
 def make(scripted: Any) -> Make:
     return lambda **settings: Battery(scripted, **settings)
+
+
+@pytest.fixture
+def battery(make: Make) -> Battery:
+    return make()
 
 
 def test_the_twins_voltage_is_the_firmwares_to_the_bit_when_a_pack_sags(make: Make) -> None:
@@ -71,8 +76,7 @@ def test_the_twins_voltage_is_the_firmwares_to_the_bit_when_a_pack_sags(make: Ma
 
 @pytest.mark.parametrize("cells", range(1, 7))
 @pytest.mark.parametrize("cell", [3.75, 4.2, 4.3])
-def test_cells_are_found_when_the_pack_is_charged(make: Make, cells: int, cell: float) -> None:
-    battery = make()
+def test_cells_are_found_when_the_pack_is_charged(battery: Battery, cells: int, cell: float) -> None:
     assert battery.run(cells * cell, 0.45) == UNKNOWN
     assert battery.run(cells * cell, 0.2) == GOOD
     assert battery.cells == cells
@@ -85,14 +89,12 @@ def test_cells_are_those_set_when_the_pilot_knows_better(make: Make) -> None:
     assert battery.cells == 4
 
 
-def test_no_more_than_six_cells_are_found_when_the_voltage_is_too_high(make: Make) -> None:
-    battery = make()
+def test_no_more_than_six_cells_are_found_when_the_voltage_is_too_high(battery: Battery) -> None:
     battery.run(30.0, 1)
     assert battery.cells == 6
 
 
-def test_cells_are_found_when_the_voltage_comes_up_slowly(make: Make) -> None:
-    battery = make()
+def test_cells_are_found_when_the_voltage_comes_up_slowly(battery: Battery) -> None:
     for volts in np.linspace(0, 22.2, 20):
         battery.run(float(volts), 0.01)
     battery.run(22.2, 1)
@@ -100,14 +102,12 @@ def test_cells_are_found_when_the_voltage_comes_up_slowly(make: Make) -> None:
 
 
 @pytest.mark.parametrize("volts", [0.0, 0.3, 2.4, 4.5, 4.9])
-def test_nothing_is_known_when_only_usb_feeds_the_board(make: Make, volts: float) -> None:
-    battery = make()
+def test_nothing_is_known_when_only_usb_feeds_the_board(battery: Battery, volts: float) -> None:
     assert battery.run(volts, 10) == UNKNOWN
     assert battery.cells == 0
 
 
-def test_nothing_is_known_when_the_measurement_is_not_valid(make: Make) -> None:
-    battery = make()
+def test_nothing_is_known_when_the_measurement_is_not_valid(battery: Battery) -> None:
     assert battery.run(16.0, 5, valid=False) == UNKNOWN
     assert (battery.cells, battery.struct.volts, battery.mah) == (0, 0, 0)
     assert battery.run(16.0, 1) == GOOD
@@ -118,9 +118,8 @@ def test_nothing_is_known_when_the_measurement_is_not_valid(make: Make) -> None:
 
 @pytest.mark.parametrize(("limit", "better", "worse"), [(3.5, GOOD, WARN), (3.3, WARN, LOW)])
 def test_a_level_is_left_only_with_some_to_spare_when_the_voltage_returns(
-    make: Make, limit: float, better: int, worse: int
+    battery: Battery, limit: float, better: int, worse: int
 ) -> None:
-    battery = make()
     battery.run(4 * 4.0, 1)
     assert battery.run(4 * (limit + 0.01), 3) == better
     assert battery.run(4 * (limit - 0.01), 3) == worse
@@ -137,16 +136,14 @@ def test_levels_are_those_set_when_the_pilot_sets_them(make: Make) -> None:
     assert battery.run(4 * 3.95, 3) == GOOD
 
 
-def test_a_punch_out_warns_not_when_it_is_short(make: Make) -> None:
-    battery = make()
+def test_a_punch_out_warns_not_when_it_is_short(battery: Battery) -> None:
     battery.run(16.0, 1)
     assert battery.run(13.0, 0.05, 60.0) == GOOD
     assert battery.run(16.0, 1) == GOOD
     assert battery.run(13.0, 1, 60.0) == LOW
 
 
-def test_sag_is_what_the_load_takes_when_it_lasts(make: Make) -> None:
-    battery = make()
+def test_sag_is_what_the_load_takes_when_it_lasts(battery: Battery) -> None:
     battery.run(16.0, 2)
     assert battery.sag == pytest.approx(0, abs=0.01)
     battery.run(15.0, 1, 30.0)
@@ -158,8 +155,7 @@ def test_sag_is_what_the_load_takes_when_it_lasts(make: Make) -> None:
     assert battery.sag < 0.01, "what lasts is no sag"
 
 
-def test_a_new_pack_is_counted_anew_when_the_old_one_was_gone_for_a_while(make: Make) -> None:
-    battery = make()
+def test_a_new_pack_is_counted_anew_when_the_old_one_was_gone_for_a_while(battery: Battery) -> None:
     battery.run(16.0, 1)
     assert battery.run(0.0, 1.9) == UNKNOWN
     assert battery.cells == 4
@@ -171,8 +167,7 @@ def test_a_new_pack_is_counted_anew_when_the_old_one_was_gone_for_a_while(make: 
     assert battery.cells == 6
 
 
-def test_cells_are_not_forgotten_when_a_loose_plug_adds_up(make: Make) -> None:
-    battery = make()
+def test_cells_are_not_forgotten_when_a_loose_plug_adds_up(battery: Battery) -> None:
     battery.run(16.0, 1)
     for _ in range(5):
         battery.run(0.0, 1.5)
@@ -180,8 +175,7 @@ def test_cells_are_not_forgotten_when_a_loose_plug_adds_up(make: Make) -> None:
         assert battery.cells == 4
 
 
-def test_cells_are_not_counted_when_the_plug_does_not_hold_yet(make: Make) -> None:
-    battery = make()
+def test_cells_are_not_counted_when_the_plug_does_not_hold_yet(battery: Battery) -> None:
     for _ in range(5):
         battery.run(16.0, 0.3)
         battery.run(0.0, 1.0)
@@ -190,16 +184,14 @@ def test_cells_are_not_counted_when_the_plug_does_not_hold_yet(make: Make) -> No
     assert battery.cells == 6
 
 
-def test_a_new_pack_does_not_sag_from_the_old_ones_voltage(make: Make) -> None:
-    battery = make()
+def test_a_new_pack_does_not_sag_from_the_old_ones_voltage(battery: Battery) -> None:
     battery.run(24.0, 2)
     battery.run(0.0, 3)
     battery.run(16.0, 2)
     assert battery.sag == pytest.approx(0, abs=0.01)
 
 
-def test_there_is_no_sag_when_the_voltage_rises(make: Make) -> None:
-    battery = make()
+def test_there_is_no_sag_when_the_voltage_rises(battery: Battery) -> None:
     battery.run(14.0, 2, 30.0)
     battery.run(16.0, 0.2)
     assert battery.sag == 0
@@ -212,8 +204,7 @@ def test_cells_set_outlast_the_pack_when_it_is_changed(make: Make) -> None:
     assert battery.cells == 3
 
 
-def test_charge_is_the_integral_of_the_current_when_it_changes(make: Make) -> None:
-    battery = make()
+def test_charge_is_the_integral_of_the_current_when_it_changes(battery: Battery) -> None:
     rng = np.random.default_rng(1)
     drawn = 0.0
     for amps in rng.uniform(0, 60, 600):
@@ -222,8 +213,7 @@ def test_charge_is_the_integral_of_the_current_when_it_changes(make: Make) -> No
     assert battery.mah == pytest.approx(drawn, abs=1.5)
 
 
-def test_charge_adds_up_when_the_current_is_small_for_long(make: Make) -> None:
-    battery = make()
+def test_charge_adds_up_when_the_current_is_small_for_long(battery: Battery) -> None:
     battery.run(15.0, 1800, 0.5)
     assert battery.mah == pytest.approx(round(0.5 * MV_PER_A) / MV_PER_A * 500, abs=1)
 

@@ -65,18 +65,20 @@ class Field:
         config = new(
             "struct background_config *",
             {
-                "hal": self.hal,
+                "board": {
+                    "hal": self.hal,
+                    "alignment": 2,  # as the simulated board's
+                    "identity": lib.host_identity,
+                    "changes": changed,
+                    "change_count": len(changes),
+                    "gyro_rate_hz": 1000,
+                    "cycles_hz": 1_000_000_000,
+                },
                 "firmware": self.fw,
                 "weights": ffi.cast("float *", self.weights),
                 "stats": stats,
-                "alignment": 2,  # as the simulated board's
                 "pid": pid,
-                "identity": ffi.addressof(lib.host_identity),
                 "fault": record,
-                "changes": changed,
-                "change_count": len(changes),
-                "gyro_rate_hz": 1000,
-                "cycles_hz": 1_000_000_000,
             },
         )
         # The scripted policy's self-test expects 0 of the compiled-in one.

@@ -102,12 +102,13 @@ class Ground:
             else:
                 change.value.as_float = value
         config = core.new("struct background_config *")
-        config.hal, config.firmware, config.weights = self.hal, self.firmware, self._weights
-        config.stats, config.alignment = self.stats, contract.SIM_GYRO_ALIGNMENT
+        board = config.board
+        config.firmware, config.weights, config.stats = self.firmware, self._weights, self.stats
         config.pid = core.ffi.addressof(self.lib, "pid_gains_built_in")
-        config.identity = core.ffi.addressof(self.lib, "host_identity")
-        config.changes, config.change_count = changes, len(settings)
-        config.gyro_rate_hz, config.cycles_hz = GYRO_HZ, 10**9
+        board.hal, board.alignment = self.hal, contract.SIM_GYRO_ALIGNMENT
+        board.identity = self.lib.host_identity
+        board.changes, board.change_count = changes, len(settings)
+        board.gyro_rate_hz, board.cycles_hz = GYRO_HZ, 10**9
         self.lib.scripted_action = [0.0] * 4
         assert self.lib.background_start(self.background, config) == 0
         self.lib.scripted_action = [ACTION] * 4

@@ -71,17 +71,21 @@ class Board:
 
 
 @pytest.fixture
-def board(scripted_build: Path, scripted: Any) -> Make:
+def make_board(scripted_build: Path, scripted: Any) -> Make:
     """Boots boards; the scripted policy answers 0."""
     scripted.lib.scripted_action = [0.0] * 4
     return lambda **settings: Board(scripted_build / "libneuroflight.so", **settings)
 
 
-def test_it_boots_and_is_ready_when_all_is_well(board: Make) -> None:
-    b = board()
-    b.run(1100)
-    assert b.reasons == set()
-    state = messages.battery_state(b.ask(Msp.BATTERY_STATE))
+@pytest.fixture
+def board(make_board: Make) -> Board:
+    return make_board()
+
+
+def test_it_boots_and_is_ready_when_all_is_well(board: Board) -> None:
+    board.run(1100)
+    assert board.reasons == set()
+    state = messages.battery_state(board.ask(Msp.BATTERY_STATE))
     assert (state.cells, state.level) == (4, messages.BatteryLevel.GOOD)
     assert state.voltage_v == pytest.approx(16.8, abs=0.05)
 
@@ -100,25 +104,25 @@ def test_it_boots_and_is_ready_when_all_is_well(board: Make) -> None:
     ],
 )
 def test_it_does_not_boot_when_settings_are_none_or_contradict_each_other(
-    board: Make, settings: dict[str, float]
+    make_board: Make, settings: dict[str, float]
 ) -> None:
     with pytest.raises(LinkError, match="refuses the settings"):
-        board(**settings)
+        make_board(**settings)
 
 
 @pytest.mark.parametrize(
     "filters", [{"filter1_kind": 1}, {"dynamic_notch_count": 1, "dynamic_notch_high_hz": 300}]
 )
 def test_the_policy_is_bad_when_it_was_trained_behind_other_filters(
-    board: Make, filters: dict[str, float]
+    make_board: Make, filters: dict[str, float]
 ) -> None:
-    b = board(**filters)
+    b = make_board(**filters)
     b.run(1100)
     assert b.reasons == {"POLICY_BAD"}
 
 
-def test_the_chip_is_turned_as_set_when_the_board_is_not_asked(board: Make) -> None:
-    straight, turned = board(), board(gyro_alignment=1)
+def test_the_chip_is_turned_as_set_when_the_board_is_not_asked(make_board: Make) -> None:
+    straight, turned = make_board(), make_board(gyro_alignment=1)
     for b in (straight, turned):
         for _ in range(5):
             b.core.sample(np.array([0.5, 0.25, 0.1]), np.array([0.0, 0.0, G]))
@@ -126,92 +130,85 @@ def test_the_chip_is_turned_as_set_when_the_board_is_not_asked(board: Make) -> N
     assert list(turned.core.trace().gyro) == pytest.approx([-0.5, -0.25, 0.1], abs=1e-3)
 
 
-def test_settings_are_saved_only_when_nothing_flies(board: Make) -> None:
-    b = board()
-    b.run(1100)
-    b.ask(Msp.EEPROM_WRITE)
-    b.run(20)
-    assert b.reasons == set()
-    b.arm = True
-    b.run(30)
+def test_settings_are_saved_only_when_nothing_flies(board: Board) -> None:
+    board.run(1100)
+    board.ask(Msp.EEPROM_WRITE)
+    board.run(20)
+    assert board.reasons == set()
+    board.arm = True
+    board.run(30)
     with pytest.raises(LinkError):
-        b.ask(Msp.EEPROM_WRITE)
-    b.run(30)
-    assert b.safety.state == FlightState.ARMED
+        board.ask(Msp.EEPROM_WRITE)
+    board.run(30)
+    assert board.safety.state == FlightState.ARMED
 
 
-def test_it_starts_anew_only_when_nothing_flies(board: Make) -> None:
-    b = board()
-    b.fly()
+def test_it_starts_anew_only_when_nothing_flies(board: Board) -> None:
+    board.fly()
     with pytest.raises(LinkError):
-        b.ask(Msp.REBOOT)
-    b.run(30)
-    assert b.safety.state == FlightState.ARMED
+        board.ask(Msp.REBOOT)
+    board.run(30)
+    assert board.safety.state == FlightState.ARMED
 
 
-def test_nothing_arms_when_it_is_about_to_start_anew(board: Make) -> None:
-    b = board()
-    b.run(1100)
-    b.ask(Msp.REBOOT)
-    b.ask(Msp.EEPROM_WRITE)  # whose end allows arming else
-    b.run(20)
-    assert b.reasons == {"STORING"}
-    b.arm = True
-    b.run(30)
-    assert b.safety.state == FlightState.DISARMED
+def test_nothing_arms_when_it_is_about_to_start_anew(board: Board) -> None:
+    board.run(1100)
+    board.ask(Msp.REBOOT)
+    board.ask(Msp.EEPROM_WRITE)  # whose end allows arming else
+    board.run(20)
+    assert board.reasons == {"STORING"}
+    board.arm = True
+    board.run(30)
+    assert board.safety.state == FlightState.DISARMED
 
 
-def test_a_motor_turns_while_its_value_is_given_anew_when_the_test_is_open(board: Make) -> None:
-    b = board()
-    b.run(1100)
+def test_a_motor_turns_while_its_value_is_given_anew_when_the_test_is_open(board: Board) -> None:
+    board.run(1100)
     with pytest.raises(LinkError):
-        b.ask(Msp.SET_MOTOR, struct.pack("<4H", 1000, 1100, 1000, 1000))
+        board.ask(Msp.SET_MOTOR, struct.pack("<4H", 1000, 1100, 1000, 1000))
     for _ in range(2):
-        b.ask(Msp.MOTOR_TEST, struct.pack("<I", MOTOR_TEST_MAGIC))
-        b.run(2)
-    b.ask(Msp.SET_MOTOR, struct.pack("<4H", 1000, 1100, 1000, 1000))
-    assert b.run(5) == [0, 248, 0, 0]
+        board.ask(Msp.MOTOR_TEST, struct.pack("<I", MOTOR_TEST_MAGIC))
+        board.run(2)
+    board.ask(Msp.SET_MOTOR, struct.pack("<4H", 1000, 1100, 1000, 1000))
+    assert board.run(5) == [0, 248, 0, 0]
     with pytest.raises(LinkError):
-        b.ask(Msp.DSHOT_COMMAND, bytes([0, DshotCommand.BEACON_1]))
+        board.ask(Msp.DSHOT_COMMAND, bytes([0, DshotCommand.BEACON_1]))
     with pytest.raises(LinkError):
-        b.ask(Msp.SET_MOTOR, struct.pack("<9H", *[1000] * 9))
-    assert b.run(MOTOR_TEST_TIMEOUT_MS + 2) == [0] * 4
-    b.arm = True
-    b.run(30)
-    assert b.safety.state == FlightState.DISARMED, "the switch came too early"
+        board.ask(Msp.SET_MOTOR, struct.pack("<9H", *[1000] * 9))
+    assert board.run(MOTOR_TEST_TIMEOUT_MS + 2) == [0] * 4
+    board.arm = True
+    board.run(30)
+    assert board.safety.state == FlightState.DISARMED, "the switch came too early"
 
 
-def test_a_silent_gyro_keeps_the_background_going_when_it_is_told(board: Make) -> None:
-    b = board()
-    b.fly()
-    assert not any(b.core.silent())
-    assert b.safety.gyro_health == GyroHealth.SILENT
-    assert b.safety.state == FlightState.FAULT
-    runs = {load.task: load.runs for load in records.tasks(b.ask(Msp.TASKS)).loads}
-    b.run(100)
-    later = {load.task: load.runs for load in records.tasks(b.ask(Msp.TASKS)).loads}
+def test_a_silent_gyro_keeps_the_background_going_when_it_is_told(board: Board) -> None:
+    board.fly()
+    assert not any(board.core.silent())
+    assert board.safety.gyro_health == GyroHealth.SILENT
+    assert board.safety.state == FlightState.FAULT
+    runs = {load.task: load.runs for load in records.tasks(board.ask(Msp.TASKS)).loads}
+    board.run(100)
+    later = {load.task: load.runs for load in records.tasks(board.ask(Msp.TASKS)).loads}
     assert later[Task.BATTERY] - runs[Task.BATTERY] in (10, 11, 12)
 
 
-def test_the_tasks_run_at_their_rates_when_samples_come(board: Make) -> None:
-    b = board()
-    b.run(1005)
-    loads = {load.task: load for load in records.tasks(b.ask(Msp.TASKS)).loads}
+def test_the_tasks_run_at_their_rates_when_samples_come(board: Board) -> None:
+    board.run(1005)
+    loads = {load.task: load for load in records.tasks(board.ask(Msp.TASKS)).loads}
     # Due at sample 0, and again at 1000.
     assert loads[Task.BATTERY].runs == loads[Task.BATTERY].rate_hz + 1 == 101
     assert loads[Task.ALERT].runs == loads[Task.ALERT].rate_hz + 1 == 51
     assert loads[Task.CONTROL].rate_hz == 1000
 
 
-def test_sticks_by_msp_are_refused_when_the_receiver_is_another(board: Make) -> None:
-    b = board()
-    b.run(100)
+def test_sticks_by_msp_are_refused_when_the_receiver_is_another(board: Board) -> None:
+    board.run(100)
     with pytest.raises(LinkError):
-        b.ask(Msp.SET_RAW_RC, struct.pack("<16H", *[1500] * 16))
+        board.ask(Msp.SET_RAW_RC, struct.pack("<16H", *[1500] * 16))
 
 
-def test_sticks_by_msp_are_flown_one_frame_a_step_when_that_is_the_receiver(board: Make) -> None:
-    b = board(receiver_protocol=2)
+def test_sticks_by_msp_are_flown_one_frame_a_step_when_that_is_the_receiver(make_board: Make) -> None:
+    b = make_board(receiver_protocol=2)
     b.heard = False
     frame = struct.pack("<16H", 1600, 1500, 1000, 1500, *[1000] * 12)
     for _ in range(30):
@@ -222,8 +219,8 @@ def test_sticks_by_msp_are_flown_one_frame_a_step_when_that_is_the_receiver(boar
     assert np.rad2deg(list(b.core.trace().setpoint)) == pytest.approx([200, 0, 0])
 
 
-def test_the_link_is_lost_and_the_motors_descend_when_that_is_the_stage(board: Make) -> None:
-    b = board(failsafe_stage=1, failsafe_descend_ms=200, failsafe_throttle=0.5)
+def test_the_link_is_lost_and_the_motors_descend_when_that_is_the_stage(make_board: Make) -> None:
+    b = make_board(failsafe_stage=1, failsafe_descend_ms=200, failsafe_throttle=0.5)
     b.fly()
     b.heard = False
     assert b.run(RECEIVER_LOST_MS - 10) == [48] * 4
@@ -252,22 +249,24 @@ def setpoint_deg_s(b: Board, us: int) -> float:
     ],
 )
 def test_a_style_alone_gives_its_own_rates_when_set_for_a_start(
-    board: Make, settings: dict[str, float], at_1501: float, at_full: float
+    make_board: Make, settings: dict[str, float], at_1501: float, at_full: float
 ) -> None:
-    b = board(**settings)
+    b = make_board(**settings)
     assert setpoint_deg_s(b, 1501) == pytest.approx(at_1501, rel=1e-4)
     assert setpoint_deg_s(b, 2000) == pytest.approx(at_full, rel=1e-4)
 
 
 @pytest.mark.parametrize("settings", [{"roll_rate": 3.0}, {"yaw_max": 1.5}])
-def test_it_does_not_boot_when_a_rate_is_beyond_its_style(board: Make, settings: dict[str, float]) -> None:
-    board(**settings)
+def test_it_does_not_boot_when_a_rate_is_beyond_its_style(
+    make_board: Make, settings: dict[str, float]
+) -> None:
+    make_board(**settings)
     with pytest.raises(LinkError, match="refuses the settings"):
-        board(rates_style=1, **settings)
+        make_board(rates_style=1, **settings)
 
 
-def test_limits_are_those_of_the_style_when_settings_are_changed_by_name(board: Make) -> None:
-    settings = Settings(board().client)
+def test_limits_are_those_of_the_style_when_settings_are_changed_by_name(make_board: Make) -> None:
+    settings = Settings(make_board().client)
     settings.set("roll_rate", 500.0)
     settings.set("rates_style", 1.0)
     assert settings.get("roll_rate") == 1.0
@@ -282,8 +281,8 @@ def test_limits_are_those_of_the_style_when_settings_are_changed_by_name(board: 
 
 
 @pytest.mark.parametrize("delay_ms", [BOOT_GRACE_MS, 2000, ARMING_DELAY_MS])
-def test_nothing_arms_before_the_delay_that_is_set_is_over(board: Make, delay_ms: int) -> None:
-    b = board(arming_delay_ms=delay_ms)
+def test_nothing_arms_before_the_delay_that_is_set_is_over(make_board: Make, delay_ms: int) -> None:
+    b = make_board(arming_delay_ms=delay_ms)
     b.run(delay_ms - 40)
     assert b.reasons & {"BOOT_GRACE"} == {"BOOT_GRACE"}
     b.run(50)

@@ -65,18 +65,18 @@ class Board:
         self.hal = core.new("struct hal *", {**hal, "flash": flash[0]})
         self.fw, self.stats = core.new("struct firmware *"), core.new("struct task_stats[]", len(Task))
         self.pid, self.target = core.new("struct pid_gains *"), core.new("char[]", b"TARGET")
-        self.identity = core.new("struct board_identity *", {"target": self.target})
         self.weights = core.new("double[]", 8)
         settings = {"gyro_alignment": alignment, "arming_delay_ms": BOOT_GRACE_MS}
         self.change = core.new("struct setting_change[]", len(settings))
         for change, (name, value) in zip(self.change, settings.items(), strict=True):
             change.index, change.value.as_uint32_t = core.lib.settings_find(name.encode()), value
         self.background = core.new("struct background *")
-        config = {
-            "hal": self.hal, "firmware": self.fw, "weights": ffi.cast("float *", self.weights),
-            "stats": self.stats, "pid": self.pid, "identity": self.identity, "changes": self.change,
+        info = {
+            "hal": self.hal, "identity": {"target": self.target}, "changes": self.change,
             "change_count": len(settings), "gyro_rate_hz": GYRO_HZ, "cycles_hz": CYCLES_HZ, **board,
         }  # fmt: skip
+        parts = {"firmware": self.fw, "weights": ffi.cast("float *", self.weights), "stats": self.stats}
+        config = {"board": info, **parts, "pid": self.pid}
         self.config = core.new("struct background_config *", config)
         assert core.lib.background_start(self.background, self.config) == 0
         self.dshot, self.number = core.new("uint16_t[8]"), 0
@@ -194,9 +194,7 @@ def test_a_load_is_no_reason_when_samples_wait_for_the_processor(board: Make) ->
     assert board(real_time=False).run(1200, load=3.0) == set()
 
 
-def test_a_full_fault_log_is_begun_anew_after_seconds_and_only_while_no_motor_turns(
-    board: Make,
-) -> None:
+def test_a_full_fault_log_is_begun_anew_after_seconds_and_only_while_no_motor_turns(board: Make) -> None:
     b = board(full_log=True)
     flash = b.made_of
     b.run(RENEW_MS - 200)

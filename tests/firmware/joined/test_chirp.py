@@ -27,7 +27,7 @@ OFF_MS = 30  # in which frames tell a switch
 
 
 @pytest.fixture
-def chirping(bench: Make, scripted: Any) -> Make:
+def make_chirping(bench: Make, scripted: Any) -> Make:
     """Makes benches with a PID, armed, the mode off unless told otherwise."""
 
     def make(mode: int = OFF, **settings: float) -> Any:
@@ -40,6 +40,11 @@ def chirping(bench: Make, scripted: Any) -> Make:
         return b
 
     return make
+
+
+@pytest.fixture
+def chirping(make_chirping: Make) -> Any:
+    return make_chirping()
 
 
 def setpoints(b: Any, ms: int, mode: int, **sticks: int) -> list[list[float]]:
@@ -60,19 +65,18 @@ def axis(b: Any) -> int:
     return int(b.core.lib.chirp_axis(b.core.ffi.addressof(b.fw.chirp)))
 
 
-def test_the_mode_excites_one_axis_after_the_other(chirping: Make) -> None:
-    b = chirping()
+def test_the_mode_excites_one_axis_after_the_other(chirping: Any) -> None:
     for expected in (0, 1, 2, 0):
-        assert excited(setpoints(b, 100, ON)) == [each == expected for each in range(3)]
-        assert axis(b) == expected
-        setpoints(b, OFF_MS, OFF)
-        assert excited(setpoints(b, 100, OFF)) == [False] * 3
-        assert axis(b) == -1
-    assert b.armed
+        assert excited(setpoints(chirping, 100, ON)) == [each == expected for each in range(3)]
+        assert axis(chirping) == expected
+        setpoints(chirping, OFF_MS, OFF)
+        assert excited(setpoints(chirping, 100, OFF)) == [False] * 3
+        assert axis(chirping) == -1
+    assert chirping.armed
 
 
-def test_the_sine_is_added_to_what_the_stick_asks_for(chirping: Make) -> None:
-    plain, b = (chirping(plausibility_detection=0) for _ in range(2))
+def test_the_sine_is_added_to_what_the_stick_asks_for(make_chirping: Make) -> None:
+    plain, b = (make_chirping(plausibility_detection=0) for _ in range(2))
     still = setpoints(plain, 400, OFF, c0=1600)
     seen = setpoints(b, 400, ON, c0=1600)
     assert [step[1:] for step in seen] == [step[1:] for step in still]
@@ -81,46 +85,43 @@ def test_the_sine_is_added_to_what_the_stick_asks_for(chirping: Make) -> None:
     assert min(added) < -0.2
 
 
-def test_nothing_is_added_when_the_motors_were_armed_with_the_mode_on(chirping: Make) -> None:
-    b = chirping(mode=ON)
+def test_nothing_is_added_when_the_motors_were_armed_with_the_mode_on(make_chirping: Make) -> None:
+    b = make_chirping(mode=ON)
     assert excited(setpoints(b, 200, ON)) == [False] * 3
     setpoints(b, OFF_MS, OFF)
     assert excited(setpoints(b, 100, ON)) == [True, False, False]
 
 
-def test_nothing_is_added_while_disarmed(chirping: Make) -> None:
-    b = chirping()
+def test_nothing_is_added_while_disarmed(chirping: Any) -> None:
     for mode in (OFF, ON, OFF, ON):
-        assert excited(setpoints(b, 100, mode, arm=1000, throttle=1000)[OFF_MS:]) == [False] * 3
-    assert axis(b) == -1
+        assert excited(setpoints(chirping, 100, mode, arm=1000, throttle=1000)[OFF_MS:]) == [False] * 3
+    assert axis(chirping) == -1
 
 
-def test_it_ends_when_the_pilot_disarms_and_does_not_come_back_by_arming(chirping: Make) -> None:
-    b = chirping()
-    setpoints(b, 100, ON)
-    setpoints(b, OFF_MS, ON, arm=1000, throttle=1000)
-    assert b.status.state == FlightState.DISARMED
-    assert axis(b) == -1
-    assert excited(setpoints(b, 200, ON, throttle=1000)) == [False] * 3
-    assert b.armed
+def test_it_ends_when_the_pilot_disarms_and_does_not_come_back_by_arming(chirping: Any) -> None:
+    setpoints(chirping, 100, ON)
+    setpoints(chirping, OFF_MS, ON, arm=1000, throttle=1000)
+    assert chirping.status.state == FlightState.DISARMED
+    assert axis(chirping) == -1
+    assert excited(setpoints(chirping, 200, ON, throttle=1000)) == [False] * 3
+    assert chirping.armed
 
 
-def test_it_ends_when_the_receiver_is_not_heard_and_does_not_come_back_with_it(chirping: Make) -> None:
-    b = chirping()
-    setpoints(b, 100, ON)
-    b.run(RECEIVER_HOLD_MS + 10, every_ms=None)
-    assert b.status.state == FlightState.FAILSAFE_HOLD
-    assert axis(b) == -1
-    assert list(b.trace.setpoint) == [0.0] * 3
-    assert excited(setpoints(b, 100, ON)) == [False] * 3
-    assert b.status.state == FlightState.ARMED
-    setpoints(b, OFF_MS, OFF)
-    assert excited(setpoints(b, 100, ON)) == [False, True, False]
+def test_it_ends_when_the_receiver_is_not_heard_and_does_not_come_back_with_it(chirping: Any) -> None:
+    setpoints(chirping, 100, ON)
+    chirping.run(RECEIVER_HOLD_MS + 10, every_ms=None)
+    assert chirping.status.state == FlightState.FAILSAFE_HOLD
+    assert axis(chirping) == -1
+    assert list(chirping.trace.setpoint) == [0.0] * 3
+    assert excited(setpoints(chirping, 100, ON)) == [False] * 3
+    assert chirping.status.state == FlightState.ARMED
+    setpoints(chirping, OFF_MS, OFF)
+    assert excited(setpoints(chirping, 100, ON)) == [False, True, False]
 
 
 @pytest.mark.parametrize("stage", [0, 1], ids=["drop", "descend"])
-def test_nothing_is_added_in_failsafe(chirping: Make, stage: int) -> None:
-    b = chirping(failsafe_stage=stage)
+def test_nothing_is_added_in_failsafe(make_chirping: Make, stage: int) -> None:
+    b = make_chirping(failsafe_stage=stage)
     setpoints(b, 100, ON)
     for _ in range(1000):
         b.run(1, every_ms=None)
@@ -130,17 +131,16 @@ def test_nothing_is_added_in_failsafe(chirping: Make, stage: int) -> None:
     assert list(b.trace.setpoint) == [0.0] * 3
 
 
-def test_it_ends_when_the_other_controller_flies(chirping: Make) -> None:
-    b = chirping()
-    setpoints(b, 100, ON)
-    setpoints(b, OFF_MS, ON, **{f"c{CHANNEL_PID}": ON})
-    assert (b.status.pid_flies, b.status.fallback_cause) == (True, FallbackCause.SWITCH)
-    assert axis(b) == -1
-    assert excited(setpoints(b, 100, ON, **{f"c{CHANNEL_PID}": ON})) == [False] * 3
+def test_it_ends_when_the_other_controller_flies(chirping: Any) -> None:
+    setpoints(chirping, 100, ON)
+    setpoints(chirping, OFF_MS, ON, **{f"c{CHANNEL_PID}": ON})
+    assert (chirping.status.pid_flies, chirping.status.fallback_cause) == (True, FallbackCause.SWITCH)
+    assert axis(chirping) == -1
+    assert excited(setpoints(chirping, 100, ON, **{f"c{CHANNEL_PID}": ON})) == [False] * 3
 
 
-def test_a_crash_is_found_and_ends_it(chirping: Make, scripted: Any) -> None:
-    b = chirping(plausibility_detection=0)
+def test_a_crash_is_found_and_ends_it(make_chirping: Make, scripted: Any) -> None:
+    b = make_chirping(plausibility_detection=0)
     setpoints(b, 100, ON)
     scripted.lib.scripted_action = [0.0, 0.0, 0.6, 0.6]
     b.counts = (int(700 * 32768 / 2000), 0, 0)  # rolls by 700 deg/s, whatever the motors do
@@ -151,9 +151,8 @@ def test_a_crash_is_found_and_ends_it(chirping: Make, scripted: Any) -> None:
     assert excited(setpoints(b, 200, ON)) == [False] * 3
 
 
-def test_the_mode_is_told_as_the_others_are(chirping: Make) -> None:
-    b = chirping()
-    setpoints(b, 100, ON)
-    assert b.status.modes & 1 << b.core.lib.MODE_CHIRP
-    setpoints(b, OFF_MS, OFF)
-    assert not b.status.modes & 1 << b.core.lib.MODE_CHIRP
+def test_the_mode_is_told_as_the_others_are(chirping: Any) -> None:
+    setpoints(chirping, 100, ON)
+    assert chirping.status.modes & 1 << chirping.core.lib.MODE_CHIRP
+    setpoints(chirping, OFF_MS, OFF)
+    assert not chirping.status.modes & 1 << chirping.core.lib.MODE_CHIRP

@@ -31,7 +31,7 @@ CYCLE_MS = 30  # in which two frames tell the arm switch
 
 
 @pytest.fixture
-def doubted(bench: Make, scripted: Any) -> Make:
+def make_doubted(bench: Make, scripted: Any) -> Make:
     """Makes benches whose PID answers roll errors a little, armed; the scripted policy answers rightly.
 
     They are in the air as soon as they are armed, unless a test wants it otherwise.
@@ -50,6 +50,11 @@ def doubted(bench: Make, scripted: Any) -> Make:
     return make
 
 
+@pytest.fixture
+def doubted(make_doubted: Make) -> Any:
+    return make_doubted()
+
+
 def fly(b: Any, ms: int, **sticks: int) -> None:
     b.run(ms, **{"arm": 2000, "throttle": 1400, **sticks})
 
@@ -62,20 +67,25 @@ def again(b: Any) -> None:
     assert b.armed
 
 
-def test_the_pid_takes_over_and_the_motors_stop_when_that_does_not_help(doubted: Make, scripted: Any) -> None:
-    b = doubted()
-    fly(b, 20, c0=ROLL_US)
+def test_the_pid_takes_over_and_the_motors_stop_when_that_does_not_help(doubted: Any, scripted: Any) -> None:
+    fly(doubted, 20, c0=ROLL_US)
     scripted.lib.scripted_action = WRONG
-    fly(b, WRONG_WAY_MS + 20, c0=ROLL_US)
-    assert (b.armed, b.status.pid_flies, b.status.fallback_cause) == (True, True, FallbackCause.WRONG_WAY)
-    fly(b, NO_RESPONSE_MS - 50, c0=ROLL_US)
-    assert b.armed
-    fly(b, 100, c0=ROLL_US)
-    assert (b.status.state, b.status.stop_cause) == (FlightState.CRASHED, StopCause.CRASH)
+    fly(doubted, WRONG_WAY_MS + 20, c0=ROLL_US)
+    assert (doubted.armed, doubted.status.pid_flies, doubted.status.fallback_cause) == (
+        True,
+        True,
+        FallbackCause.WRONG_WAY,
+    )
+    fly(doubted, NO_RESPONSE_MS - 50, c0=ROLL_US)
+    assert doubted.armed
+    fly(doubted, 100, c0=ROLL_US)
+    assert (doubted.status.state, doubted.status.stop_cause) == (FlightState.CRASHED, StopCause.CRASH)
 
 
-def test_the_pid_that_takes_over_has_time_when_the_policy_was_helpless(doubted: Make, scripted: Any) -> None:
-    b = doubted(p=0.05)
+def test_the_pid_that_takes_over_has_time_when_the_policy_was_helpless(
+    make_doubted: Make, scripted: Any
+) -> None:
+    b = make_doubted(p=0.05)
     scripted.lib.scripted_action = [0.0, 0.0, 0.6, 0.6]
     taken_over = 0
     while not b.status.pid_flies:
@@ -88,37 +98,35 @@ def test_the_pid_that_takes_over_has_time_when_the_policy_was_helpless(doubted: 
     assert b.status.stop_cause == StopCause.CRASH
 
 
-def test_the_pid_that_the_pilot_chose_is_not_doubted(doubted: Make) -> None:
-    b = doubted()
-    fly(b, 20, **{f"c{CHANNEL_PID}": 2000})
-    fly(b, 3 * NO_RESPONSE_MS, c0=ROLL_US, **{f"c{CHANNEL_PID}": 2000})
-    assert (b.status.state, b.status.pid_flies) == (FlightState.ARMED, True)
+def test_the_pid_that_the_pilot_chose_is_not_doubted(doubted: Any) -> None:
+    fly(doubted, 20, **{f"c{CHANNEL_PID}": 2000})
+    fly(doubted, 3 * NO_RESPONSE_MS, c0=ROLL_US, **{f"c{CHANNEL_PID}": 2000})
+    assert (doubted.status.state, doubted.status.pid_flies) == (FlightState.ARMED, True)
 
 
-def test_a_policy_is_not_doubted_when_that_is_switched_off(doubted: Make, scripted: Any) -> None:
-    b = doubted(plausibility_detection=0)
+def test_a_policy_is_not_doubted_when_that_is_switched_off(make_doubted: Make, scripted: Any) -> None:
+    b = make_doubted(plausibility_detection=0)
     scripted.lib.scripted_action = WRONG
     fly(b, 3 * NO_RESPONSE_MS, c0=ROLL_US)
     assert (b.status.state, b.status.pid_flies) == (FlightState.ARMED, False)
 
 
-def test_it_flies_on_when_the_pid_that_took_over_oscillates(doubted: Make, scripted: Any) -> None:
-    b = doubted()
+def test_it_flies_on_when_the_pid_that_took_over_oscillates(doubted: Any, scripted: Any) -> None:
     scripted.lib.scripted_action = WRONG
-    fly(b, WRONG_WAY_MS + 20, c0=ROLL_US)
-    assert b.status.pid_flies
+    fly(doubted, WRONG_WAY_MS + 20, c0=ROLL_US)
+    assert doubted.status.pid_flies
     size = 3 * OSCILLATION_ERROR_DEG_S * COUNTS_PER_DEG_S
     for ms in range(3000):
-        b.counts = (round(size * math.sin(math.tau * 16 * ms / 1000)), 0, 0)
-        fly(b, 1)
-    assert (b.status.state, b.status.pid_flies) == (FlightState.ARMED, True)
+        doubted.counts = (round(size * math.sin(math.tau * 16 * ms / 1000)), 0, 0)
+        fly(doubted, 1)
+    assert (doubted.status.state, doubted.status.pid_flies) == (FlightState.ARMED, True)
 
 
 def test_it_flies_on_when_the_pid_that_took_over_seems_to_steer_the_wrong_way(
-    doubted: Make, scripted: Any
+    make_doubted: Make, scripted: Any
 ) -> None:
     """As it does while its integral unwinds: here its gain has the wrong sign."""
-    b = doubted(p=-0.005)
+    b = make_doubted(p=-0.005)
     scripted.lib.scripted_action = WRONG
     fly(b, WRONG_WAY_MS + 20, c0=1600)
     assert b.status.pid_flies
@@ -127,30 +135,28 @@ def test_it_flies_on_when_the_pid_that_took_over_seems_to_steer_the_wrong_way(
     assert (b.status.state, b.status.pid_flies) == (FlightState.ARMED, True)
 
 
-def test_the_policy_hands_over_when_it_oscillates(doubted: Make) -> None:
-    b = doubted()
+def test_the_policy_hands_over_when_it_oscillates(doubted: Any) -> None:
     size = 3 * OSCILLATION_ERROR_DEG_S * COUNTS_PER_DEG_S
     for ms in range(1000):
-        b.counts = (round(size * math.sin(math.tau * 16 * ms / 1000)), 0, 0)
-        fly(b, 1)
-    assert (b.status.pid_flies, b.status.fallback_cause) == (True, FallbackCause.OSCILLATION)
+        doubted.counts = (round(size * math.sin(math.tau * 16 * ms / 1000)), 0, 0)
+        fly(doubted, 1)
+    assert (doubted.status.pid_flies, doubted.status.fallback_cause) == (True, FallbackCause.OSCILLATION)
 
 
-def test_implausible_steps_of_one_flight_do_not_count_in_the_next(doubted: Make, scripted: Any) -> None:
-    b = doubted()
+def test_implausible_steps_of_one_flight_do_not_count_in_the_next(doubted: Any, scripted: Any) -> None:
     scripted.lib.scripted_action = WRONG
     for _ in range(5):
-        b.run(WRONG_WAY_MS * 2 // 3, every_ms=1, arm=2000, c0=ROLL_US)
-        assert (b.armed, b.status.pid_flies) == (True, False)
-        b.run(5, every_ms=1, c0=ROLL_US)
-        assert not b.armed
-    b.run(WRONG_WAY_MS + 2, every_ms=1, arm=2000, c0=ROLL_US)
-    assert b.status.pid_flies
+        doubted.run(WRONG_WAY_MS * 2 // 3, every_ms=1, arm=2000, c0=ROLL_US)
+        assert (doubted.armed, doubted.status.pid_flies) == (True, False)
+        doubted.run(5, every_ms=1, c0=ROLL_US)
+        assert not doubted.armed
+    doubted.run(WRONG_WAY_MS + 2, every_ms=1, arm=2000, c0=ROLL_US)
+    assert doubted.status.pid_flies
 
 
-def test_each_flight_has_its_runaway_window(doubted: Make) -> None:
+def test_each_flight_has_its_runaway_window(make_doubted: Make) -> None:
     for flights in range(3):
-        b = doubted(plausibility_detection=0)
+        b = make_doubted(plausibility_detection=0)
         for _ in range(flights):
             fly(b, RUNAWAY_WINDOW_MS + 50)
             again(b)
@@ -161,9 +167,9 @@ def test_each_flight_has_its_runaway_window(doubted: Make) -> None:
 
 
 def test_a_flight_that_begins_in_the_step_that_ends_the_one_before_forgets_it(
-    doubted: Make, frame: Callable[..., bytes]
+    make_doubted: Make, frame: Callable[..., bytes]
 ) -> None:
-    b = doubted(plausibility_detection=0)
+    b = make_doubted(plausibility_detection=0)
     fly(b, RUNAWAY_WINDOW_MS + 50)
     b.send(2 * frame(arm=1000) + frame(arm=2000))
     b.sample()

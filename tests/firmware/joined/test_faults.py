@@ -109,14 +109,22 @@ class Pilot:
         return set(messages.arming_reasons(flags))
 
 
+MakePilot = Callable[..., Pilot]
+
+
 @pytest.fixture
-def pilot(start: Callable[..., Any], host_program: Path) -> Callable[..., Pilot]:
+def make_pilot(start: Callable[..., Any], host_program: Path) -> MakePilot:
     """Starts the firmware around the shipped policy and its PID."""
 
     def make(*options: str, build: Path = host_program.parent) -> Pilot:
         return Pilot(start("--gyro-hz=1000", "--trace-port=0", *options, build=build))
 
     return make
+
+
+@pytest.fixture
+def pilot(make_pilot: MakePilot) -> Pilot:
+    return make_pilot()
 
 
 def stops_after(rows: list[tuple[float, ...]]) -> int:
@@ -129,31 +137,30 @@ def stops_after(rows: list[tuple[float, ...]]) -> int:
 
 
 # --- Flights ----------------------------------------------------------------------------------
-def test_it_arms_flies_and_disarms_when_the_pilot_says_so(pilot: Callable[..., Pilot]) -> None:
-    p = pilot()
-    p.take_off()
-    assert p.state() == FlightState.ARMED
-    p.run(500)
-    p.arm = 1000
-    while p.ms % FRAME_MS:
-        p.step()
-    assert all(min(row) > 0 for row in p.run(FRAME_MS)), "one frame that says off may be wrong"
-    assert p.step() == STOPPED, "in the step of the second one"
-    assert (p.safety.state, p.safety.stop_cause) == (FlightState.DISARMED, StopCause.SWITCH)
-    assert set(p.run(100)) == {STOPPED}
-    p.throttle = 1000
-    p.run(50)
-    p.arm = 2000
-    p.run(50)
-    assert p.state() == FlightState.ARMED
+def test_it_arms_flies_and_disarms_when_the_pilot_says_so(pilot: Pilot) -> None:
+    pilot.take_off()
+    assert pilot.state() == FlightState.ARMED
+    pilot.run(500)
+    pilot.arm = 1000
+    while pilot.ms % FRAME_MS:
+        pilot.step()
+    assert all(min(row) > 0 for row in pilot.run(FRAME_MS)), "one frame that says off may be wrong"
+    assert pilot.step() == STOPPED, "in the step of the second one"
+    assert (pilot.safety.state, pilot.safety.stop_cause) == (FlightState.DISARMED, StopCause.SWITCH)
+    assert set(pilot.run(100)) == {STOPPED}
+    pilot.throttle = 1000
+    pilot.run(50)
+    pilot.arm = 2000
+    pilot.run(50)
+    assert pilot.state() == FlightState.ARMED
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_it_ends_disarmed_in_time_when_the_receiver_is_lost_at_a_random_moment(
-    pilot: Callable[..., Pilot], seed: int
+    make_pilot: MakePilot, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    p = pilot()
+    p = make_pilot()
     p.take_off()
     p.throttle = int(rng.integers(1000, 2001))
     p.run(int(rng.integers(1, 400)))
@@ -171,22 +178,21 @@ def test_it_ends_disarmed_in_time_when_the_receiver_is_lost_at_a_random_moment(
     assert not p.reasons
 
 
-def test_it_holds_and_flies_on_when_the_receiver_is_back_within_the_hold(pilot: Callable[..., Pilot]) -> None:
-    p = pilot()
-    p.take_off()
-    p.heard = False
-    p.run(RECEIVER_HOLD_MS + 50)
-    assert p.state() == FlightState.FAILSAFE_HOLD
-    p.heard = True
-    p.run(2 * FRAME_MS)
-    assert p.state() == FlightState.ARMED
+def test_it_holds_and_flies_on_when_the_receiver_is_back_within_the_hold(pilot: Pilot) -> None:
+    pilot.take_off()
+    pilot.heard = False
+    pilot.run(RECEIVER_HOLD_MS + 50)
+    assert pilot.state() == FlightState.FAILSAFE_HOLD
+    pilot.heard = True
+    pilot.run(2 * FRAME_MS)
+    assert pilot.state() == FlightState.ARMED
 
 
 @pytest.mark.parametrize(("delay_ms", "silence_ms"), [(None, 900), (2000, 1900), (20_000, 5000)])
 def test_it_flies_on_when_frames_come_again_within_the_failsafe_delay(
-    pilot: Callable[..., Pilot], delay_ms: int | None, silence_ms: int
+    make_pilot: MakePilot, delay_ms: int | None, silence_ms: int
 ) -> None:
-    p = pilot() if delay_ms is None else pilot(f"--set=failsafe_delay_ms={delay_ms}")
+    p = make_pilot() if delay_ms is None else make_pilot(f"--set=failsafe_delay_ms={delay_ms}")
     p.take_off()
     p.heard = False
     assert min(map(min, p.run(silence_ms))) > 0
@@ -198,9 +204,9 @@ def test_it_flies_on_when_frames_come_again_within_the_failsafe_delay(
 
 @pytest.mark.parametrize("delay_ms", [200, 3000])
 def test_the_stage_begins_when_silence_has_lasted_as_long_as_is_set(
-    pilot: Callable[..., Pilot], delay_ms: int
+    make_pilot: MakePilot, delay_ms: int
 ) -> None:
-    p = pilot(f"--set=failsafe_delay_ms={delay_ms}", "--set=failsafe_hold_ms=100")
+    p = make_pilot(f"--set=failsafe_delay_ms={delay_ms}", "--set=failsafe_hold_ms=100")
     p.take_off()
     p.heard = False
     since_frame = (p.ms - 1) % FRAME_MS + 1
@@ -208,8 +214,8 @@ def test_the_stage_begins_when_silence_has_lasted_as_long_as_is_set(
     assert p.safety.stop_cause == StopCause.RECEIVER
 
 
-def test_it_descends_and_then_stops_when_that_is_the_set_stage(pilot: Callable[..., Pilot]) -> None:
-    p = pilot("--set=failsafe_stage=1", "--set=failsafe_descend_ms=300", "--set=failsafe_throttle=0.5")
+def test_it_descends_and_then_stops_when_that_is_the_set_stage(make_pilot: MakePilot) -> None:
+    p = make_pilot("--set=failsafe_stage=1", "--set=failsafe_descend_ms=300", "--set=failsafe_throttle=0.5")
     p.take_off()
     p.heard = False
     p.run(RECEIVER_LOST_MS)
@@ -223,20 +229,17 @@ def test_it_descends_and_then_stops_when_that_is_the_set_stage(pilot: Callable[.
 NAN = (math.nan, 0.0, 0.0)
 
 
-def test_a_glitch_is_flown_through_and_the_motors_stop_when_the_gyro_stays_bad(
-    pilot: Callable[..., Pilot],
-) -> None:
-    p = pilot()
-    p.take_off()
+def test_a_glitch_is_flown_through_and_the_motors_stop_when_the_gyro_stays_bad(pilot: Pilot) -> None:
+    pilot.take_off()
     for _ in range(20):
-        assert all(min(row) > 0 for row in p.run(GLITCH_MS, NAN) + p.run(20))
-    assert abs(stops_after(p.run(3 * GYRO_BAD_MS, NAN)) - GYRO_BAD_MS) <= 1
-    assert (p.safety.state, p.safety.stop_cause) == (FlightState.FAULT, StopCause.GYRO_INVALID)
-    p.arm, p.throttle = 1000, 1000
-    p.run(300)
-    p.arm = 2000
-    assert set(p.run(300)) == {STOPPED}, "until the next boot"
-    assert "FAULT" in p.reasons
+        assert all(min(row) > 0 for row in pilot.run(GLITCH_MS, NAN) + pilot.run(20))
+    assert abs(stops_after(pilot.run(3 * GYRO_BAD_MS, NAN)) - GYRO_BAD_MS) <= 1
+    assert (pilot.safety.state, pilot.safety.stop_cause) == (FlightState.FAULT, StopCause.GYRO_INVALID)
+    pilot.arm, pilot.throttle = 1000, 1000
+    pilot.run(300)
+    pilot.arm = 2000
+    assert set(pilot.run(300)) == {STOPPED}, "until the next boot"
+    assert "FAULT" in pilot.reasons
 
 
 def too_fast(p: Pilot, ms: int) -> list[tuple[float, ...]]:
@@ -244,10 +247,10 @@ def too_fast(p: Pilot, ms: int) -> list[tuple[float, ...]]:
     return [p.step((*p.noise.normal(0, 0.02, 1), TOO_FAST, *p.noise.normal(0, 0.02, 1))) for _ in range(ms)]
 
 
-def test_it_flies_a_saturated_gyro_tells_it_and_stops_when_that_lasts(pilot: Callable[..., Pilot]) -> None:
+def test_it_flies_a_saturated_gyro_tells_it_and_stops_when_that_lasts(make_pilot: MakePilot) -> None:
     # Or these would stop an aircraft that turns at 2000 deg/s with the sticks in their middle.
     off = ("crash_detection", "runaway_detection", "plausibility_detection", "level_limit_deg")
-    p = pilot(*(f"--set={name}=0" for name in off))
+    p = make_pilot(*(f"--set={name}=0" for name in off))
     p.take_off()
     for _ in range(3):
         assert all(min(row) > 0 for row in too_fast(p, GYRO_SATURATED_MS - 20))
@@ -268,86 +271,75 @@ def test_it_flies_a_saturated_gyro_tells_it_and_stops_when_that_lasts(pilot: Cal
     assert min(p.run(50)[-1]) > 0
 
 
-def test_the_motors_stop_when_the_gyro_is_stuck(pilot: Callable[..., Pilot]) -> None:
-    p = pilot()
-    p.take_off()
-    p.program.alive = False
-    assert abs(stops_after(p.run(3 * GYRO_BAD_MS, (0.1, 0.2, 0.3))) - GYRO_BAD_MS) <= 2
-    assert (p.safety.state, p.safety.stop_cause) == (FlightState.FAULT, StopCause.GYRO_STUCK)
+def test_the_motors_stop_when_the_gyro_is_stuck(pilot: Pilot) -> None:
+    pilot.take_off()
+    pilot.program.alive = False
+    assert abs(stops_after(pilot.run(3 * GYRO_BAD_MS, (0.1, 0.2, 0.3))) - GYRO_BAD_MS) <= 2
+    assert (pilot.safety.state, pilot.safety.stop_cause) == (FlightState.FAULT, StopCause.GYRO_STUCK)
 
 
-def test_the_motors_stop_when_the_gyro_was_silent(pilot: Callable[..., Pilot]) -> None:
-    p = pilot()
-    p.take_off()
-    assert min(p.step(late_ms=GYRO_BAD_MS - 2)) > 0
-    p.ms += GYRO_BAD_MS - 2
-    assert min(p.step()) > 0
-    assert p.step(late_ms=GYRO_BAD_MS + 1) == STOPPED
-    assert (p.safety.state, p.safety.stop_cause) == (FlightState.FAULT, StopCause.GYRO_SILENT)
+def test_the_motors_stop_when_the_gyro_was_silent(pilot: Pilot) -> None:
+    pilot.take_off()
+    assert min(pilot.step(late_ms=GYRO_BAD_MS - 2)) > 0
+    pilot.ms += GYRO_BAD_MS - 2
+    assert min(pilot.step()) > 0
+    assert pilot.step(late_ms=GYRO_BAD_MS + 1) == STOPPED
+    assert (pilot.safety.state, pilot.safety.stop_cause) == (FlightState.FAULT, StopCause.GYRO_SILENT)
 
 
-def test_it_does_not_arm_while_the_gyro_is_bad_and_does_again_when_it_has_mended(
-    pilot: Callable[..., Pilot],
-) -> None:
-    p = pilot()
-    p.boot()
-    p.run(2 * GYRO_BAD_MS, NAN)
-    assert p.safety.gyro_health == GyroHealth.INVALID
-    assert p.reasons == {"GYRO_BAD"}
-    p.run(20)
-    assert not p.reasons
+def test_it_does_not_arm_while_the_gyro_is_bad_and_does_again_when_it_has_mended(pilot: Pilot) -> None:
+    pilot.boot()
+    pilot.run(2 * GYRO_BAD_MS, NAN)
+    assert pilot.safety.gyro_health == GyroHealth.INVALID
+    assert pilot.reasons == {"GYRO_BAD"}
+    pilot.run(20)
+    assert not pilot.reasons
 
 
-def test_the_pid_flies_on_when_deadlines_are_missed(pilot: Callable[..., Pilot]) -> None:
-    p = pilot()
-    p.take_off()
-    p.program.power(control_us=1001.0)
-    p.run(DEADLINE_MISSES_MAX - 1)
-    p.program.power(control_us=900.0)
-    p.run(5)
-    assert not p.safety.pid_flies
-    p.program.power(control_us=1001.0)
-    p.run(DEADLINE_MISSES_MAX)
-    p.program.power(control_us=900.0)
-    assert all(min(row) > 0 for row in p.run(50))
-    assert (p.safety.pid_flies, p.safety.fallback_cause) == (True, FallbackCause.DEADLINE)
-    tasks = {load.task.name: load for load in records.tasks(p.ask(Msp.TASKS)).loads}
+def test_the_pid_flies_on_when_deadlines_are_missed(pilot: Pilot) -> None:
+    pilot.take_off()
+    pilot.program.power(control_us=1001.0)
+    pilot.run(DEADLINE_MISSES_MAX - 1)
+    pilot.program.power(control_us=900.0)
+    pilot.run(5)
+    assert not pilot.safety.pid_flies
+    pilot.program.power(control_us=1001.0)
+    pilot.run(DEADLINE_MISSES_MAX)
+    pilot.program.power(control_us=900.0)
+    assert all(min(row) > 0 for row in pilot.run(50))
+    assert (pilot.safety.pid_flies, pilot.safety.fallback_cause) == (True, FallbackCause.DEADLINE)
+    tasks = {load.task.name: load for load in records.tasks(pilot.ask(Msp.TASKS)).loads}
     assert tasks["CONTROL"].misses == 2 * DEADLINE_MISSES_MAX - 1
 
 
-def test_nothing_arms_by_itself_and_the_link_is_lost_when_the_receiver_speaks_garbage(
-    pilot: Callable[..., Pilot],
-) -> None:
-    p = pilot()
-    p.take_off()
-    p.heard = False
+def test_nothing_arms_by_itself_and_the_link_is_lost_when_the_receiver_speaks_garbage(pilot: Pilot) -> None:
+    pilot.take_off()
+    pilot.heard = False
     rng = np.random.default_rng(8)
     rows = []
     for _ in range(RECEIVER_LOST_MS + 50):
         # Channels that no receiver has: the host says them as they are.
-        p.program.send("receiver", rng.integers(0, 256, int(rng.integers(0, 39)), np.uint8).tobytes())
-        rows.append(p.step())
+        pilot.program.send("receiver", rng.integers(0, 256, int(rng.integers(0, 39)), np.uint8).tobytes())
+        rows.append(pilot.step())
     assert stops_after(rows) <= RECEIVER_LOST_MS + 1
-    assert p.safety.stop_cause == StopCause.RECEIVER
+    assert pilot.safety.stop_cause == StopCause.RECEIVER
 
 
-def test_it_only_warns_when_the_battery_is_low(pilot: Callable[..., Pilot]) -> None:
-    p = pilot()
-    p.take_off()
-    p.program.power(volts=4 * 3.1, amps=20.0)
-    assert all(min(row) > 0 for row in p.run(3000))
-    state = messages.battery_state(p.ask(Msp.BATTERY_STATE))
+def test_it_only_warns_when_the_battery_is_low(pilot: Pilot) -> None:
+    pilot.take_off()
+    pilot.program.power(volts=4 * 3.1, amps=20.0)
+    assert all(min(row) > 0 for row in pilot.run(3000))
+    state = messages.battery_state(pilot.ask(Msp.BATTERY_STATE))
     assert state.level is messages.BatteryLevel.CRITICAL
-    assert p.state() == FlightState.ARMED
+    assert pilot.state() == FlightState.ARMED
 
 
-def test_it_does_not_arm_when_the_battery_is_unknown(pilot: Callable[..., Pilot]) -> None:
-    p = pilot()
-    p.program.power(volts=0.3)
-    p.boot()
-    assert p.reasons == {"BATTERY_UNKNOWN"}
-    p.arm = 2000
-    assert set(p.run(100)) == {STOPPED}
+def test_it_does_not_arm_when_the_battery_is_unknown(pilot: Pilot) -> None:
+    pilot.program.power(volts=0.3)
+    pilot.boot()
+    assert pilot.reasons == {"BATTERY_UNKNOWN"}
+    pilot.arm = 2000
+    assert set(pilot.run(100)) == {STOPPED}
 
 
 @pytest.fixture(scope="module")
@@ -363,9 +355,9 @@ def wrong_weight(host_program: Path, shipped_policy: Path, tmp_path_factory: pyt
 
 
 def test_the_policy_cannot_arm_but_the_pid_can_when_a_weight_is_corrupted(
-    pilot: Callable[..., Pilot], wrong_weight: Path
+    make_pilot: MakePilot, wrong_weight: Path
 ) -> None:
-    p = pilot(build=wrong_weight)
+    p = make_pilot(build=wrong_weight)
     p.boot()
     assert p.reasons == {"POLICY_BAD"}
     assert not p.safety.policy_good
@@ -413,9 +405,9 @@ void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_CO
 
 
 def test_the_pid_answers_in_the_same_step_when_the_policy_answers_no_number(
-    pilot: Callable[..., Pilot], nan_policy: Path
+    make_pilot: MakePilot, nan_policy: Path
 ) -> None:
-    p = pilot(build=nan_policy)
+    p = make_pilot(build=nan_policy)
     p.take_off()
     assert not p.safety.pid_flies
     rows = p.run(NAN_STEP)
@@ -446,10 +438,10 @@ def setting_index(name: str) -> int:
 
 
 def test_a_setting_is_flown_from_the_next_boot_on_when_it_is_saved(
-    pilot: Callable[..., Pilot], tmp_path: Path
+    make_pilot: MakePilot, tmp_path: Path
 ) -> None:
     file = f"--settings={tmp_path / 'flash.bin'}"
-    first = pilot(file)
+    first = make_pilot(file)
     first.boot()
     change = struct.pack("<HI", setting_index("filter1_kind"), FilterKind.PT1)
     first.ask(Msp.SETTING_SET, change)
@@ -457,7 +449,7 @@ def test_a_setting_is_flown_from_the_next_boot_on_when_it_is_saved(
     first.run(200)
     assert not first.reasons, "this boot flies as it began"
     first.program.end()
-    second = pilot(file)
+    second = make_pilot(file)
     second.boot()
     assert second.reasons == {"POLICY_BAD"}, "the policy was trained without a filter"
     assert "PID" not in " ".join(second.reasons)
@@ -466,38 +458,34 @@ def test_a_setting_is_flown_from_the_next_boot_on_when_it_is_saved(
     assert not second.reasons
 
 
-def test_nothing_is_saved_when_it_is_armed(pilot: Callable[..., Pilot]) -> None:
-    p = pilot()
-    p.take_off()
+def test_nothing_is_saved_when_it_is_armed(pilot: Pilot) -> None:
+    pilot.take_off()
     with pytest.raises(LinkError):
-        p.ask(Msp.EEPROM_WRITE)
-    assert all(min(row) > 0 for row in p.run(50))
-    assert not p.reasons
+        pilot.ask(Msp.EEPROM_WRITE)
+    assert all(min(row) > 0 for row in pilot.run(50))
+    assert not pilot.reasons
 
 
-def test_motors_turn_on_request_and_nothing_arms_meanwhile_when_the_test_is_open(
-    pilot: Callable[..., Pilot],
-) -> None:
-    p = pilot()
-    p.boot()
+def test_motors_turn_on_request_and_nothing_arms_meanwhile_when_the_test_is_open(pilot: Pilot) -> None:
+    pilot.boot()
     values = struct.pack("<4H", 1000, 1080, 1000, 1000)
     with pytest.raises(LinkError):
-        p.ask(Msp.SET_MOTOR, values)
-    p.ask(Msp.MOTOR_TEST, struct.pack("<I", MOTOR_TEST_MAGIC))
-    p.run(2)
-    p.ask(Msp.SET_MOTOR, values)
-    turning = p.run(5)[-1]
+        pilot.ask(Msp.SET_MOTOR, values)
+    pilot.ask(Msp.MOTOR_TEST, struct.pack("<I", MOTOR_TEST_MAGIC))
+    pilot.run(2)
+    pilot.ask(Msp.SET_MOTOR, values)
+    turning = pilot.run(5)[-1]
     assert turning[1] == pytest.approx(0.08, abs=1e-3)
     assert (turning[0], *turning[2:]) == (0.0, 0.0, 0.0)
-    p.arm = 2000
-    rows = p.run(60)
+    pilot.arm = 2000
+    rows = pilot.run(60)
     assert stops_after(rows) <= FRAME_MS + 1, "a pilot who wants to arm ends it"
-    assert p.state() == FlightState.DISARMED
-    assert "MOTOR_TEST" in p.reasons
+    assert pilot.state() == FlightState.DISARMED
+    assert "MOTOR_TEST" in pilot.reasons
 
 
-def test_sticks_come_by_msp_when_that_is_the_receiver(pilot: Callable[..., Pilot]) -> None:
-    p = pilot(f"--set=receiver_protocol={2}")
+def test_sticks_come_by_msp_when_that_is_the_receiver(make_pilot: MakePilot) -> None:
+    p = make_pilot(f"--set=receiver_protocol={2}")
     p.heard = False
     order = struct.Struct("<16H")
     for ms in range(1600):
@@ -554,15 +542,15 @@ def test_the_motors_stop_within_a_second_when_two_motors_are_swapped(reference_l
 
 
 def test_a_full_log_begins_anew_some_seconds_after_the_boot_and_only_while_disarmed(
-    pilot: Callable[..., Pilot], tmp_path: Path
+    make_pilot: MakePilot, tmp_path: Path
 ) -> None:
     flash = tmp_path / "flash.bin"
     log = slice(FLASH_FAULT_RECORD.address - FLASH_BASE, FLASH_FAULT_RECORD.address - FLASH_BASE + 0x4000)
-    pilot(f"--settings={flash}").program.end()  # it is made, with its policy
+    make_pilot(f"--settings={flash}").program.end()  # it is made, with its policy
     content = bytearray(flash.read_bytes())
     content[log] = b"\x55" * FLASH_FAULT_RECORD.size  # written all over
     flash.write_bytes(content)
-    p = pilot(f"--settings={flash}")
+    p = make_pilot(f"--settings={flash}")
     p.take_off()
     p.run(6000)
     assert p.state() == FlightState.ARMED

@@ -172,8 +172,8 @@ def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
         ours, theirs = host.step(frame, sample), board.step(frame, sample)
         assert ours == theirs, f"step {step}"
         values.add(ours[0])
-        if flying and host.firmware.chirp.added != 0.0:
-            axes.add(host.firmware.chirp.axis)
+        if flying and host.firmware.chirp.sweep.added != 0.0:
+            axes.add(host.firmware.chirp.sweep.axis)
         assert (ours[0] != bytes(8)) == flying, f"armed from step {BOOT_STEPS} on, and only then: {step}"
     assert axes == {0, 1, 2}, "the chirp must have run"
     assert len(values) > FLIGHT_STEPS / 2, "the outputs must have moved"

@@ -41,7 +41,7 @@ PID = {f"c{CHANNEL_PID}": 2000}
 
 
 @pytest.fixture
-def armed(bench: Make, scripted: Any) -> Callable[..., Bench]:
+def make_armed(bench: Make, scripted: Any) -> Callable[..., Bench]:
     """Makes benches armed on the ground; their PID's integral acts on roll, the policy answers rightly."""
 
     def make(**settings: float) -> Bench:
@@ -56,6 +56,11 @@ def armed(bench: Make, scripted: Any) -> Callable[..., Bench]:
         return b
 
     return make
+
+
+@pytest.fixture
+def armed(make_armed: Callable[..., Bench]) -> Bench:
+    return make_armed()
 
 
 def fly(b: Bench, ms: int, **channels_us: int) -> None:
@@ -75,21 +80,24 @@ def seen(scripted: Any, part: slice) -> list[float]:
 # --- Checks of the sticks ---------------------------------------------------------------------
 @pytest.mark.parametrize("sticks", [CHECK, {"throttle": 1000, "c0": 2000}, {"throttle": 1190, "c0": 1900}])
 def test_sticks_that_move_nothing_are_no_fault_of_the_policy_before_take_off(
-    armed: Callable[..., Bench], sticks: dict[str, int]
+    armed: Bench, sticks: dict[str, int]
 ) -> None:
-    b = armed()
-    fly(b, 10 * NO_RESPONSE_MS, **sticks)
-    assert (b.status.state, b.status.pid_flies, b.status.airborne) == (FlightState.ARMED, False, False)
-    take_off(b)
-    fly(b, NO_RESPONSE_MS + 20, **CHECK)
-    assert b.status.fallback_cause == FallbackCause.NO_RESPONSE, "in the air they are"
+    fly(armed, 10 * NO_RESPONSE_MS, **sticks)
+    assert (armed.status.state, armed.status.pid_flies, armed.status.airborne) == (
+        FlightState.ARMED,
+        False,
+        False,
+    )
+    take_off(armed)
+    fly(armed, NO_RESPONSE_MS + 20, **CHECK)
+    assert armed.status.fallback_cause == FallbackCause.NO_RESPONSE, "in the air they are"
 
 
 @pytest.mark.parametrize("flies", [{}, PID], ids=["policy", "pid"])
 def test_sticks_that_move_nothing_are_no_crash_before_take_off(
-    armed: Callable[..., Bench], flies: dict[str, int]
+    make_armed: Callable[..., Bench], flies: dict[str, int]
 ) -> None:
-    b = armed(plausibility_detection=0)
+    b = make_armed(plausibility_detection=0)
     fly(b, 10 * CRASH_MS, throttle=1060, c0=2000, **flies)
     assert b.status.state == FlightState.ARMED
     take_off(b, **flies)
@@ -97,30 +105,30 @@ def test_sticks_that_move_nothing_are_no_crash_before_take_off(
     assert (b.status.state, b.status.stop_cause) == (FlightState.CRASHED, StopCause.CRASH)
 
 
-def test_a_tilted_stand_is_ground_like_any_other(armed: Callable[..., Bench]) -> None:
-    b = armed()
-    b.accel = (700, 0, 1924)  # 20 deg
+def test_a_tilted_stand_is_ground_like_any_other(armed: Bench) -> None:
+    armed.accel = (700, 0, 1924)  # 20 deg
     for throttle in range(1000, TAKEOFF_US, 10):
-        fly(b, 50, throttle=throttle, c0=1610)
-    assert (b.status.state, b.status.pid_flies, b.status.airborne) == (FlightState.ARMED, False, False)
+        fly(armed, 50, throttle=throttle, c0=1610)
+    assert (armed.status.state, armed.status.pid_flies, armed.status.airborne) == (
+        FlightState.ARMED,
+        False,
+        False,
+    )
 
 
 # --- What protects the take-off meanwhile -----------------------------------------------------
-def test_a_policy_that_steers_the_wrong_way_hands_over_on_the_ground(
-    armed: Callable[..., Bench], scripted: Any
-) -> None:
-    b = armed()
+def test_a_policy_that_steers_the_wrong_way_hands_over_on_the_ground(armed: Bench, scripted: Any) -> None:
     scripted.lib.scripted_action = WRONG
-    fly(b, WRONG_WAY_MS + 20, **CHECK)
-    assert not b.status.airborne
-    assert (b.status.pid_flies, b.status.fallback_cause) == (True, FallbackCause.WRONG_WAY)
+    fly(armed, WRONG_WAY_MS + 20, **CHECK)
+    assert not armed.status.airborne
+    assert (armed.status.pid_flies, armed.status.fallback_cause) == (True, FallbackCause.WRONG_WAY)
 
 
 def test_a_policy_that_turns_the_aircraft_the_wrong_way_hands_over_sooner_before_take_off(
-    armed: Callable[..., Bench], scripted: Any
+    make_armed: Callable[..., Bench], scripted: Any
 ) -> None:
     for in_the_air in (False, True):
-        b = armed()
+        b = make_armed()
         scripted.lib.scripted_action = RIGHT
         if in_the_air:
             take_off(b)
@@ -135,19 +143,20 @@ def test_a_policy_that_turns_the_aircraft_the_wrong_way_hands_over_sooner_before
         assert angle < turned < angle + 2 * rate / 1000
 
 
-def test_a_policy_that_oscillates_hands_over_on_the_ground(armed: Callable[..., Bench]) -> None:
-    b = armed()
+def test_a_policy_that_oscillates_hands_over_on_the_ground(armed: Bench) -> None:
     size = 3 * OSCILLATION_ERROR_DEG_S * COUNTS_PER_DEG_S
     for ms in range(1000):
-        b.counts = (round(size * math.sin(math.tau * 16 * ms / 1000)), 0, 0)
-        fly(b, 1)
-    assert not b.status.airborne
-    assert b.status.fallback_cause == FallbackCause.OSCILLATION
+        armed.counts = (round(size * math.sin(math.tau * 16 * ms / 1000)), 0, 0)
+        fly(armed, 1)
+    assert not armed.status.airborne
+    assert armed.status.fallback_cause == FallbackCause.OSCILLATION
 
 
 @pytest.mark.parametrize("waits_ms", [0, 5000])
-def test_a_runaway_stops_the_motors_however_long_it_stood(armed: Callable[..., Bench], waits_ms: int) -> None:
-    b = armed(plausibility_detection=0)
+def test_a_runaway_stops_the_motors_however_long_it_stood(
+    make_armed: Callable[..., Bench], waits_ms: int
+) -> None:
+    b = make_armed(plausibility_detection=0)
     fly(b, waits_ms, throttle=1060)
     for rate in np.linspace(0, 2 * CRASH_ERROR_DEG_S, 4 * RUNAWAY_MS):
         b.counts = (0, round(-rate * COUNTS_PER_DEG_S), 0)
@@ -155,8 +164,8 @@ def test_a_runaway_stops_the_motors_however_long_it_stood(armed: Callable[..., B
     assert (b.status.state, b.status.stop_cause) == (FlightState.CRASHED, StopCause.RUNAWAY)
 
 
-def test_an_aircraft_that_has_tipped_over_may_crash(armed: Callable[..., Bench]) -> None:
-    b = armed(plausibility_detection=0)
+def test_an_aircraft_that_has_tipped_over_may_crash(make_armed: Callable[..., Bench]) -> None:
+    b = make_armed(plausibility_detection=0)
     b.counts = (round(200 * COUNTS_PER_DEG_S), 0, 0)
     fly(b, round(1000 * 1.3 * TAKEOFF_TURN_DEG / 200), **CHECK)
     assert b.status.airborne
@@ -167,90 +176,76 @@ def test_an_aircraft_that_has_tipped_over_may_crash(armed: Callable[..., Bench])
 
 # --- What winds up ----------------------------------------------------------------------------
 def test_the_policy_sees_no_integral_and_no_answer_of_its_own_until_take_off(
-    armed: Callable[..., Bench], scripted: Any
+    armed: Bench, scripted: Any
 ) -> None:
-    b = armed()
     for sticks in ({}, CHECK, {"throttle": 1190, "c0": 1900}):
-        fly(b, 300, **sticks)
+        fly(armed, 300, **sticks)
         assert (seen(scripted, INTEGRAL), seen(scripted, PREVIOUS)) == ([0.0] * 3, [0.0] * 4)
-    take_off(b)
-    fly(b, 100, throttle=1250, c0=1600)
+    take_off(armed)
+    fly(armed, 100, throttle=1250, c0=1600)
     assert seen(scripted, INTEGRAL)[0] == pytest.approx(math.radians(200) * 0.1, rel=0.15)
     np.testing.assert_allclose(seen(scripted, PREVIOUS), RIGHT, rtol=1e-6)
 
 
-def test_the_policy_sees_nothing_of_its_motors_until_take_off(
-    armed: Callable[..., Bench], scripted: Any
-) -> None:
-    b = armed()
+def test_the_policy_sees_nothing_of_its_motors_until_take_off(armed: Bench, scripted: Any) -> None:
     own = scripted.new("unsigned char[]", [1, 2, 3, 4, 9, 6])  # previous_motors for previous_action
-    b.fw.control.observation.blocks = own
-    fly(b, 100, **CHECK)
+    armed.fw.control.observation.blocks = own
+    fly(armed, 100, **CHECK)
     assert seen(scripted, PREVIOUS) == [0.0] * 4
-    take_off(b)
-    fly(b, 100, throttle=1250)
+    take_off(armed)
+    fly(armed, 100, throttle=1250)
     thrust = 0.25 * (1 - max(RIGHT))
     np.testing.assert_allclose(seen(scripted, PREVIOUS), np.array(RIGHT) + thrust - 0.25, rtol=1e-5)
 
 
-def test_the_policy_sees_its_answers_as_soon_as_the_throttle_is_raised(
-    armed: Callable[..., Bench], scripted: Any
-) -> None:
+def test_the_policy_sees_its_answers_as_soon_as_the_throttle_is_raised(armed: Bench, scripted: Any) -> None:
     """A light aircraft flies then, although it has not taken off yet; integrals wait for that."""
-    b = armed()
     for _ in range(3):
-        fly(b, 100, throttle=TAKEOFF_US + 20, c0=1600)
+        fly(armed, 100, throttle=TAKEOFF_US + 20, c0=1600)
         np.testing.assert_allclose(seen(scripted, PREVIOUS), RIGHT, rtol=1e-6)
-        assert (seen(scripted, INTEGRAL), bool(b.status.airborne)) == ([0.0] * 3, False)
-        fly(b, 100, **CHECK)
+        assert (seen(scripted, INTEGRAL), bool(armed.status.airborne)) == ([0.0] * 3, False)
+        fly(armed, 100, **CHECK)
         assert seen(scripted, PREVIOUS) == [0.0] * 4
 
 
-def test_the_pids_integral_does_not_grow_until_take_off(armed: Callable[..., Bench]) -> None:
-    b = armed()
-    b.counts = (round(1.0 * COUNTS_PER_DEG_S), 0, 0)
-    fly(b, 100, **PID)
-    still = list(b.trace.dshot)[:4]
-    fly(b, 5000, **PID)
-    assert list(b.trace.dshot)[:4] == still
-    take_off(b, **PID)
-    fly(b, 5000, throttle=1000, **PID)
-    assert max(list(b.trace.dshot)[:4]) > max(still) + 50
+def test_the_pids_integral_does_not_grow_until_take_off(armed: Bench) -> None:
+    armed.counts = (round(1.0 * COUNTS_PER_DEG_S), 0, 0)
+    fly(armed, 100, **PID)
+    still = list(armed.trace.dshot)[:4]
+    fly(armed, 5000, **PID)
+    assert list(armed.trace.dshot)[:4] == still
+    take_off(armed, **PID)
+    fly(armed, 5000, throttle=1000, **PID)
+    assert max(list(armed.trace.dshot)[:4]) > max(still) + 50
 
 
-def test_a_landed_aircraft_keeps_its_integral_until_it_is_disarmed(
-    armed: Callable[..., Bench], scripted: Any
-) -> None:
+def test_a_landed_aircraft_keeps_its_integral_until_it_is_disarmed(armed: Bench, scripted: Any) -> None:
     """As Betaflight's airmode: with a closed throttle nobody knows it from one that hovers on its idle."""
-    b = armed()
-    take_off(b)
-    fly(b, 100, throttle=1250, c0=1600)
+    take_off(armed)
+    fly(armed, 100, throttle=1250, c0=1600)
     kept = seen(scripted, INTEGRAL)
-    fly(b, 20_000, throttle=1000)
-    assert b.status.airborne
+    fly(armed, 20_000, throttle=1000)
+    assert armed.status.airborne
     assert seen(scripted, INTEGRAL)[0] == pytest.approx(kept[0], rel=0.1) and kept[0] > 0.1
-    b.run(CYCLE_MS)
-    assert (b.armed, bool(b.status.airborne)) == (False, False)
-    b.run(CYCLE_MS, arm=2000)
-    fly(b, 100, **CHECK)
-    assert (bool(b.status.airborne), seen(scripted, INTEGRAL)) == (False, [0.0] * 3)
+    armed.run(CYCLE_MS)
+    assert (armed.armed, bool(armed.status.airborne)) == (False, False)
+    armed.run(CYCLE_MS, arm=2000)
+    fly(armed, 100, **CHECK)
+    assert (bool(armed.status.airborne), seen(scripted, INTEGRAL)) == (False, [0.0] * 3)
 
 
-def test_the_pid_that_takes_over_on_the_ground_does_not_wind_up_either(
-    armed: Callable[..., Bench], scripted: Any
-) -> None:
-    b = armed()
+def test_the_pid_that_takes_over_on_the_ground_does_not_wind_up_either(armed: Bench, scripted: Any) -> None:
     scripted.lib.scripted_action = WRONG
-    fly(b, WRONG_WAY_MS + 20, **CHECK)
-    assert b.status.pid_flies
-    fly(b, 2000, **CHECK)
-    assert list(b.fw.control.pid.integral) == [0.0] * 3
+    fly(armed, WRONG_WAY_MS + 20, **CHECK)
+    assert armed.status.pid_flies
+    fly(armed, 2000, **CHECK)
+    assert list(armed.fw.control.pid.integral) == [0.0] * 3
 
 
 def test_an_aircraft_on_a_rig_flies_at_once_when_it_is_told_so(
-    armed: Callable[..., Bench], scripted: Any
+    make_armed: Callable[..., Bench], scripted: Any
 ) -> None:
-    b = armed(ground_detection=0)
+    b = make_armed(ground_detection=0)
     assert b.status.airborne
     fly(b, 100, c0=1600)
     assert seen(scripted, INTEGRAL)[0] > 0.2

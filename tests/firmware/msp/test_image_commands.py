@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -47,7 +46,6 @@ OLD, ONE, OTHER = (
 )
 PIECE = 128
 BOARD, SHA256, BLOB_MAGIC = -19, -24, -7
-MakeServer = Callable[..., Server]
 
 
 def digest(image: bytes) -> bytes:
@@ -86,16 +84,15 @@ def put(s: Server, bank: int, image: bytes, marks: bytes) -> None:
 
 
 # --- What is told ---------------------------------------------------------------------------------
-def test_the_banks_are_told_when_asked_for(server: MakeServer) -> None:
-    s = server()
+def test_the_banks_are_told_when_asked_for(server: Server) -> None:
     nothing = {
         **dict.fromkeys(("flags", "starts", "sequence", "image_bytes", "crc"), 0),
         "version": bytes(4),
         "build": bytes(IMAGE_BUILD_BYTES),
     }
-    assert told(s, Msp.IMAGE_INFO) == {"running": 0, "banks": [nothing, nothing], "layout": 2}
-    put(s, 0, OLD, state(sequence=5, confirmed=True))
-    put(s, 1, ONE, b"")
+    assert told(server, Msp.IMAGE_INFO) == {"running": 0, "banks": [nothing, nothing], "layout": 2}
+    put(server, 0, OLD, state(sequence=5, confirmed=True))
+    put(server, 1, ONE, b"")
     first: dict[str, Any] = {
         **{"flags": MSP_IMAGE_FITS | MSP_IMAGE_NUMBERED | MSP_IMAGE_CONFIRMED, "starts": 0, "sequence": 5},
         **{"image_bytes": 700, "crc": crc_of(OLD), "version": b"\0\1\0\0", "build": header_of(OLD)[20:28]},
@@ -104,33 +101,32 @@ def test_the_banks_are_told_when_asked_for(server: MakeServer) -> None:
         **{"flags": MSP_IMAGE_FITS | MSP_IMAGE_INSTALLED, "starts": 0, "sequence": 0},
         **{"image_bytes": 700, "crc": crc_of(ONE), "version": b"\0\1\0\0", "build": header_of(ONE)[20:28]},
     }
-    assert told(s, Msp.IMAGE_INFO) == {"running": 0, "banks": [first, second], "layout": 2}
-    s.core.lib.image_bank_count_start(s.chip.flash, 1)
-    s.core.lib.image_bank_reject(s.chip.flash, 1)
-    (_, now) = told(s, Msp.IMAGE_INFO)["banks"]
+    assert told(server, Msp.IMAGE_INFO) == {"running": 0, "banks": [first, second], "layout": 2}
+    server.core.lib.image_bank_count_start(server.chip.flash, 1)
+    server.core.lib.image_bank_reject(server.chip.flash, 1)
+    (_, now) = told(server, Msp.IMAGE_INFO)["banks"]
     assert (now["flags"], now["starts"]) == (second["flags"] | MSP_IMAGE_REJECTED, 1)
-    s.image.running = 1
-    assert told(s, Msp.IMAGE_INFO)["running"] == 1
-    put(s, 1, make_image(2, bank=0), state(sequence=5, confirmed=True))
-    assert told(s, Msp.IMAGE_INFO)["banks"] == [first, nothing], "an image for another bank is none"
+    server.image.running = 1
+    assert told(server, Msp.IMAGE_INFO)["running"] == 1
+    put(server, 1, make_image(2, bank=0), state(sequence=5, confirmed=True))
+    assert told(server, Msp.IMAGE_INFO)["banks"] == [first, nothing], "an image for another bank is none"
 
 
-def test_an_image_is_written_hashed_and_switched_to_when_sent(server: MakeServer) -> None:
-    s = server()
-    put(s, 0, OLD, state(sequence=5, confirmed=True))
-    assert told(s, Msp.IMAGE_BEGIN, header_of(ONE)) == {"offset": 0}
+def test_an_image_is_written_hashed_and_switched_to_when_sent(server: Server) -> None:
+    put(server, 0, OLD, state(sequence=5, confirmed=True))
+    assert told(server, Msp.IMAGE_BEGIN, header_of(ONE)) == {"offset": 0}
     for command, payload in upload(ONE)[1:-1]:
-        assert s.reply(command, payload) == b""
+        assert server.reply(command, payload) == b""
         assert (
-            told(s, Msp.IMAGE_BEGIN, header_of(ONE))["offset"]
+            told(server, Msp.IMAGE_BEGIN, header_of(ONE))["offset"]
             == struct.unpack_from("<I", payload)[0] + len(payload) - 4
         )
-    assert told(s, Msp.IMAGE_END) == {"crc": crc_of(ONE)}
-    assert told(s, Msp.IMAGE_HASH, b"\1") == {"sha256": digest(ONE)}
-    assert told(s, Msp.IMAGE_HASH, b"\0") == {"sha256": digest(OLD)}
-    assert told(s, Msp.IMAGE_SWITCH, digest(ONE)) == {"sequence": 6}
-    assert told(s, Msp.IMAGE_INFO)["banks"][1]["flags"] == MSP_IMAGE_FITS | MSP_IMAGE_NUMBERED
-    assert s.chip.region(FLASH_BANKS[1])[:700] == ONE
+    assert told(server, Msp.IMAGE_END) == {"crc": crc_of(ONE)}
+    assert told(server, Msp.IMAGE_HASH, b"\1") == {"sha256": digest(ONE)}
+    assert told(server, Msp.IMAGE_HASH, b"\0") == {"sha256": digest(OLD)}
+    assert told(server, Msp.IMAGE_SWITCH, digest(ONE)) == {"sequence": 6}
+    assert told(server, Msp.IMAGE_INFO)["banks"][1]["flags"] == MSP_IMAGE_FITS | MSP_IMAGE_NUMBERED
+    assert server.chip.region(FLASH_BANKS[1])[:700] == ONE
 
 
 @pytest.mark.parametrize(
@@ -148,78 +144,58 @@ def test_an_image_is_written_hashed_and_switched_to_when_sent(server: MakeServer
     ],
 )
 def test_a_refusal_says_why_when_nothing_can_be_done(
-    server: MakeServer, command: Msp, payload: bytes, refusal: tuple[int, int]
+    server: Server, command: Msp, payload: bytes, refusal: tuple[int, int]
 ) -> None:
-    s = server()
-    assert s.refusal(command, payload) == refusal
-    assert s.chip.operations == 0
+    assert server.refusal(command, payload) == refusal
+    assert server.chip.operations == 0
 
 
-def test_a_damaged_image_is_refused_and_not_switched_to(server: MakeServer) -> None:
-    s = server()
+def test_a_damaged_image_is_refused_and_not_switched_to(server: Server) -> None:
     for command, payload in upload(ONE[:-4] + bytes(4))[:-1]:
-        s.reply(command, payload)
-    assert s.refusal(Msp.IMAGE_END) == (Refusal.IMAGE, -23)
-    assert s.refusal(Msp.IMAGE_SWITCH, digest(ONE)) == (Refusal.IMAGE, SHA256 + 1)
+        server.reply(command, payload)
+    assert server.refusal(Msp.IMAGE_END) == (Refusal.IMAGE, -23)
+    assert server.refusal(Msp.IMAGE_SWITCH, digest(ONE)) == (Refusal.IMAGE, SHA256 + 1)
 
 
-@pytest.mark.parametrize(
-    "command", [message for message in Msp if message.name.startswith("IMAGE_")], ids=lambda m: m.name
-)
-def test_images_are_absent_when_there_are_no_banks(server: MakeServer, command: Msp) -> None:
-    s = server()
-    s.services.image = s.core.ffi.NULL
-    sizes = {
-        Msp.IMAGE_BEGIN: len(header_of(ONE)),
-        Msp.IMAGE_WRITE: 8,
-        Msp.IMAGE_HASH: 1,
-        Msp.IMAGE_SWITCH: 32,
-    }
-    assert s.refusal(command, bytes(sizes.get(command, 0))) == (Refusal.ABSENT, 0)
-
-
-def test_nothing_is_switched_to_before_the_image_has_a_policy(server: MakeServer) -> None:
-    s = server()
-    put(s, 0, OLD, state(sequence=5, confirmed=True))
-    s.chip.fill(FLASH_POLICY_SLOTS[0].address, pack(replace(scripted_blob(), build=header_of(OLD)[20:28])))
+def test_nothing_is_switched_to_before_the_image_has_a_policy(server: Server) -> None:
+    put(server, 0, OLD, state(sequence=5, confirmed=True))
+    server.chip.fill(
+        FLASH_POLICY_SLOTS[0].address, pack(replace(scripted_blob(), build=header_of(OLD)[20:28]))
+    )
     for command, payload in upload(ONE):
-        s.reply(command, payload)
-    assert s.refusal(Msp.IMAGE_SWITCH, digest(ONE)) == (Refusal.BLOB, -27)
-    assert send_policy(s, OTHER).payload[0] == Refusal.BLOB
-    assert s.refusal(Msp.IMAGE_SWITCH, digest(ONE)) == (Refusal.BLOB, -27)
-    assert send_policy(s, ONE).direction is Direction.REPLY
-    assert told(s, Msp.IMAGE_SWITCH, digest(ONE)) == {"sequence": 6}
+        server.reply(command, payload)
+    assert server.refusal(Msp.IMAGE_SWITCH, digest(ONE)) == (Refusal.BLOB, -27)
+    assert send_policy(server, OTHER).payload[0] == Refusal.BLOB
+    assert server.refusal(Msp.IMAGE_SWITCH, digest(ONE)) == (Refusal.BLOB, -27)
+    assert send_policy(server, ONE).direction is Direction.REPLY
+    assert told(server, Msp.IMAGE_SWITCH, digest(ONE)) == {"sequence": 6}
 
 
-def test_slots_are_left_alone_between_the_switch_and_the_proof(server: MakeServer) -> None:
-    s = server()
-    put(s, 0, OLD, state(sequence=5, confirmed=True))
+def test_slots_are_left_alone_between_the_switch_and_the_proof(server: Server) -> None:
+    put(server, 0, OLD, state(sequence=5, confirmed=True))
     for slot, sequence in enumerate((4, 5)):
-        s.chip.fill(FLASH_POLICY_SLOTS[slot].address, pack(replace(scripted_blob(), sequence=sequence)))
-    s.boot()
+        server.chip.fill(FLASH_POLICY_SLOTS[slot].address, pack(replace(scripted_blob(), sequence=sequence)))
+    server.boot()
     for command, payload in upload(ONE):
-        s.reply(command, payload)
+        server.reply(command, payload)
     begin = requests.slot_begin(1000)
-    s.reply(Msp.IMAGE_SWITCH, digest(ONE))
-    before = s.chip.content
-    assert s.refusal(Msp.POLICY_SLOT_BEGIN, begin) == (Refusal.ORDER, 0), "ONE is started next"
-    assert s.refusal(Msp.POLICY_SLOT_REVERT) == (Refusal.ORDER, 0)
-    s.core.lib.image_update_init(s.image, s.chip.flash, 1, b"HOST")
-    assert s.refusal(Msp.POLICY_SLOT_BEGIN, begin) == (Refusal.ORDER, 0), "ONE runs and may fail"
-    assert s.refusal(Msp.POLICY_SLOT_REVERT) == (Refusal.ORDER, 0)
-    assert s.chip.content == before
-    assert s.core.lib.image_bank_confirm(s.chip.flash, 1)
-    assert s.reply(Msp.POLICY_SLOT_REVERT) == b""
+    server.reply(Msp.IMAGE_SWITCH, digest(ONE))
+    before = server.chip.content
+    assert server.refusal(Msp.POLICY_SLOT_BEGIN, begin) == (Refusal.ORDER, 0), "ONE is started next"
+    assert server.refusal(Msp.POLICY_SLOT_REVERT) == (Refusal.ORDER, 0)
+    server.core.lib.image_update_init(server.image, server.chip.flash, 1, b"HOST")
+    assert server.refusal(Msp.POLICY_SLOT_BEGIN, begin) == (Refusal.ORDER, 0), "ONE runs and may fail"
+    assert server.refusal(Msp.POLICY_SLOT_REVERT) == (Refusal.ORDER, 0)
+    assert server.chip.content == before
+    assert server.core.lib.image_bank_confirm(server.chip.flash, 1)
+    assert server.reply(Msp.POLICY_SLOT_REVERT) == b""
 
 
-def test_slots_are_told_and_gone_back_to_when_asked(
-    server: MakeServer, scripted_policy_blob: PolicyBlob
-) -> None:
-    s = server()
+def test_slots_are_told_and_gone_back_to_when_asked(server: Server, scripted_policy_blob: PolicyBlob) -> None:
     for slot, sequence in enumerate((4, 5)):
         blob = replace(scripted_policy_blob, sequence=sequence, aircraft=f"craft{sequence}", idle=0.25)
-        s.chip.fill(FLASH_POLICY_SLOTS[slot].address, pack(blob))
-    s.boot()
+        server.chip.fill(FLASH_POLICY_SLOTS[slot].address, pack(blob))
+    server.boot()
     expected = {
         **{
             "found": 0,
@@ -231,19 +207,19 @@ def test_slots_are_told_and_gone_back_to_when_asked(
         **{"aircraft": "craft5", "policy_sha256": bytes.fromhex(scripted_policy_blob.policy_sha256)},
         "build": bytes(IMAGE_BUILD_BYTES),
     }
-    assert told(s, Msp.POLICY_SLOT_INFO, b"\1") == expected
-    assert told(s, Msp.POLICY_SLOT_INFO, b"\0") == expected | {
+    assert told(server, Msp.POLICY_SLOT_INFO, b"\1") == expected
+    assert told(server, Msp.POLICY_SLOT_INFO, b"\0") == expected | {
         "flown": 0,
         "sequence": 4,
         "aircraft": "craft4",
     }
     for _ in range(2):
-        assert s.reply(Msp.POLICY_SLOT_REVERT) == b""
-    gone = told(s, Msp.POLICY_SLOT_INFO, b"\1")
+        assert server.reply(Msp.POLICY_SLOT_REVERT) == b""
+    gone = told(server, Msp.POLICY_SLOT_INFO, b"\1")
     assert (gone["found"], gone["flown"], gone["sequence"], gone["aircraft"]) == (BLOB_MAGIC, 1, 0, "")
     assert not any(gone["policy_sha256"])
-    s.boot()
-    assert told(s, Msp.POLICY_SLOT_INFO, b"\0")["flown"] == 1
+    server.boot()
+    assert told(server, Msp.POLICY_SLOT_INFO, b"\0")["flown"] == 1
 
 
 # --- Lines that spoil frames ----------------------------------------------------------------------
@@ -259,33 +235,31 @@ def serve(s: Server, data: bytes) -> bytes:
     return bytes(out)[:count]
 
 
-def test_nothing_is_written_when_any_byte_of_a_frame_is_another(server: MakeServer) -> None:
-    s = server()
-    put(s, 0, OLD, state(sequence=5, confirmed=True))
+def test_nothing_is_written_when_any_byte_of_a_frame_is_another(server: Server) -> None:
+    put(server, 0, OLD, state(sequence=5, confirmed=True))
     spoilt = 0
     for command, payload in [*upload(ONE), (Msp.IMAGE_SWITCH, digest(ONE))]:
         good = frame(command, payload)
-        before, written = s.chip.operations, s.image.written
+        before, written = server.chip.operations, server.image.written
         for at in range(len(good)):
             for wrong in (0x01, 0x80, 0xFF):
-                serve(s, good[:at] + bytes([good[at] ^ wrong]) + good[at + 1 :])
-                assert (s.chip.operations, s.image.written) == (before, written), (command, at)
+                serve(server, good[:at] + bytes([good[at] ^ wrong]) + good[at + 1 :])
+                assert (server.chip.operations, server.image.written) == (before, written), (command, at)
                 spoilt += 1
-        s.reply(command, payload)
+        server.reply(command, payload)
     assert spoilt > 3 * 700
-    assert s.chip.region(FLASH_BANKS[1])[:700] == ONE
+    assert server.chip.region(FLASH_BANKS[1])[:700] == ONE
 
 
-def test_nothing_is_written_when_a_frame_is_cut_anywhere(server: MakeServer) -> None:
-    s = server()
+def test_nothing_is_written_when_a_frame_is_cut_anywhere(server: Server) -> None:
     for command, payload in upload(ONE):
         good = frame(command, payload)
-        before = s.chip.operations
+        before = server.chip.operations
         for at in range(len(good)):
-            serve(s, good[:at])
-        assert s.chip.operations == before
-        s.reply(command, payload)
-    assert s.chip.region(FLASH_BANKS[1])[:700] == ONE
+            serve(server, good[:at])
+        assert server.chip.operations == before
+        server.reply(command, payload)
+    assert server.chip.region(FLASH_BANKS[1])[:700] == ONE
 
 
 STEPS = st.one_of(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -16,7 +15,6 @@ from tests.firmware.msp.test_msp_commands import GOOD, Server, server
 
 __all__ = ["server"]  # the fixture
 KEPT = (Msp.LOG_ENTRY, Msp.LOG_READ, Msp.LOG_ERASE)
-MakeServer = Callable[..., Server]
 
 
 def told(s: Server, command: Msp, payload: bytes = b"") -> dict[str, Any]:
@@ -30,90 +28,78 @@ def read(index: int, offset: int, count: int) -> bytes:
     return struct.pack("<HIH", index, offset, count)
 
 
-def test_the_device_is_told_as_it_is_when_asked_for(server: MakeServer) -> None:
-    s = server()
-    s.log.state, s.log.error = LogState.FULL, LogError.WRITE
-    info = told(s, Msp.LOG_INFO)
+def test_the_device_is_told_as_it_is_when_asked_for(server: Server) -> None:
+    server.log.state, server.log.error = LogState.FULL, LogError.WRITE
+    info = told(server, Msp.LOG_INFO)
     assert (info["device"], info["state"], info["error"]) == (LogDevice.CARD, LogState.FULL, LogError.WRITE)
     assert (info["logs"], info["empty"], info["capacity"], info["free"]) == (2, 7, 0x90000, 0x80000)
     assert (info["flags"], info["frames"], info["dropped"], info["bytes"]) == (0, 0, 0, 0)
 
 
-def test_a_log_is_read_to_its_end_when_asked_piece_by_piece(server: MakeServer) -> None:
-    s = server()
-    entry = told(s, Msp.LOG_ENTRY, struct.pack("<H", 1))
+def test_a_log_is_read_to_its_end_when_asked_piece_by_piece(server: Server) -> None:
+    entry = told(server, Msp.LOG_ENTRY, struct.pack("<H", 1))
     assert (entry["log"], entry["state"], entry["name"], entry["bytes"]) == (1, 0, "LOG00002.BBL", 512)
     whole = b""
-    while piece := told(s, Msp.LOG_READ, read(1, len(whole), 0xFFFF)):
+    while piece := told(server, Msp.LOG_READ, read(1, len(whole), 0xFFFF)):
         assert (piece["log"], piece["offset"], piece["state"]) == (1, len(whole), 0)
         if not piece["data"]:
             break
         whole += piece["data"]
-    assert whole == s.log.logs[1]
-    assert told(s, Msp.LOG_READ, read(0, 4, 2))["data"] == b"lo"
+    assert whole == server.log.logs[1]
+    assert told(server, Msp.LOG_READ, read(0, 4, 2))["data"] == b"lo"
 
 
-def test_it_is_asked_again_when_the_device_is_not_ready(server: MakeServer) -> None:
-    s = server()
-    s.log.answer = s.log.LATER
-    assert told(s, Msp.LOG_ENTRY, GOOD[Msp.LOG_ENTRY]) == {"log": 0, "state": 1, "name": "", "bytes": 0}
-    assert told(s, Msp.LOG_READ, read(1, 8, 16)) == {"log": 1, "offset": 8, "state": 1, "data": b""}
-    assert told(s, Msp.LOG_ERASE, GOOD[Msp.LOG_ERASE]) == {"state": 1}
-    assert s.log.asked == [("entry", 0), ("read", 1, 8, 16), ("erase",)]
+def test_it_is_asked_again_when_the_device_is_not_ready(server: Server) -> None:
+    server.log.answer = server.log.LATER
+    assert told(server, Msp.LOG_ENTRY, GOOD[Msp.LOG_ENTRY]) == {"log": 0, "state": 1, "name": "", "bytes": 0}
+    assert told(server, Msp.LOG_READ, read(1, 8, 16)) == {"log": 1, "offset": 8, "state": 1, "data": b""}
+    assert told(server, Msp.LOG_ERASE, GOOD[Msp.LOG_ERASE]) == {"state": 1}
+    assert server.log.asked == [("entry", 0), ("read", 1, 8, 16), ("erase",)]
 
 
-def test_the_logs_are_gone_when_erased_and_erasing_again_is_no_mistake(server: MakeServer) -> None:
-    s = server()
+def test_the_logs_are_gone_when_erased_and_erasing_again_is_no_mistake(server: Server) -> None:
     for _ in range(2):
-        assert told(s, Msp.LOG_ERASE, GOOD[Msp.LOG_ERASE]) == {"state": 0}
-        assert told(s, Msp.LOG_INFO)["logs"] == 0
+        assert told(server, Msp.LOG_ERASE, GOOD[Msp.LOG_ERASE]) == {"state": 0}
+        assert told(server, Msp.LOG_INFO)["logs"] == 0
 
 
 @pytest.mark.parametrize("magic", [0, LOG_ERASE_MAGIC ^ 1, LOG_ERASE_MAGIC ^ 1 << 31])
-def test_nothing_is_erased_when_the_magic_is_another(server: MakeServer, magic: int) -> None:
-    s = server()
-    assert s.refusal(Msp.LOG_ERASE, struct.pack("<I", magic)) == (Refusal.PAYLOAD, 0)
-    assert s.log.asked == []
+def test_nothing_is_erased_when_the_magic_is_another(server: Server, magic: int) -> None:
+    assert server.refusal(Msp.LOG_ERASE, struct.pack("<I", magic)) == (Refusal.PAYLOAD, 0)
+    assert server.log.asked == []
 
 
 @pytest.mark.parametrize("command", KEPT)
 @pytest.mark.parametrize("state", [LogState.LOGGING, LogState.ENDING])
 def test_the_device_is_left_alone_while_a_log_is_written(
-    server: MakeServer, command: Msp, state: LogState
+    server: Server, command: Msp, state: LogState
 ) -> None:
-    s = server()
-    s.log.state = state
-    assert s.refusal(command, GOOD[command]) == (Refusal.ORDER, 0)
-    assert s.log.asked == []
+    server.log.state = state
+    assert server.refusal(command, GOOD[command]) == (Refusal.ORDER, 0)
+    assert server.log.asked == []
 
 
-def test_a_log_is_refused_when_there_is_none_of_that_index(server: MakeServer) -> None:
-    s = server()
-    assert s.refusal(Msp.LOG_ENTRY, struct.pack("<H", 2)) == (Refusal.INDEX, 0)
-    assert s.refusal(Msp.LOG_READ, read(0xFFFF, 0, 1)) == (Refusal.INDEX, 0)
-    assert s.log.asked == []
-
-
-@pytest.mark.parametrize("command", KEPT)
-def test_the_devices_error_is_told_when_it_fails(server: MakeServer, command: Msp) -> None:
-    s = server()
-    s.log.answer, s.log.error = s.log.FAILED, LogError.READ
-    assert s.refusal(command, GOOD[command]) == (Refusal.LOG, LogError.READ)
+def test_a_log_is_refused_when_there_is_none_of_that_index(server: Server) -> None:
+    assert server.refusal(Msp.LOG_ENTRY, struct.pack("<H", 2)) == (Refusal.INDEX, 0)
+    assert server.refusal(Msp.LOG_READ, read(0xFFFF, 0, 1)) == (Refusal.INDEX, 0)
+    assert server.log.asked == []
 
 
 @pytest.mark.parametrize("command", KEPT)
-def test_logs_are_absent_when_the_device_keeps_none(server: MakeServer, command: Msp) -> None:
-    s = server()
-    null = s.core.ffi.NULL
-    s.log.device.entry = s.log.device.read = s.log.device.erase = null
-    assert s.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
-    s.keep_logs(null)
-    assert s.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
-    info = told(s, Msp.LOG_INFO)
+def test_the_devices_error_is_told_when_it_fails(server: Server, command: Msp) -> None:
+    server.log.answer, server.log.error = server.log.FAILED, LogError.READ
+    assert server.refusal(command, GOOD[command]) == (Refusal.LOG, LogError.READ)
+
+
+@pytest.mark.parametrize("command", KEPT)
+def test_logs_are_absent_when_the_device_keeps_none(server: Server, command: Msp) -> None:
+    null = server.core.ffi.NULL
+    server.log.device.entry = server.log.device.read = server.log.device.erase = null
+    assert server.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
+    server.keep_logs(null)
+    assert server.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
+    info = told(server, Msp.LOG_INFO)
     assert (info["device"], info["state"]) == (LogDevice.CARD, LogState.ABSENT)
-    s.services.blackbox = null
-    assert s.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
-    assert s.refusal(Msp.LOG_INFO) == (Refusal.ABSENT, 0)
 
 
 # --- As the ecosystem tells a card ----------------------------------------------------------------
@@ -134,25 +120,19 @@ CARD_STATES = {  # and errors of this device; the ecosystem's: 0 no card, 1 faul
 
 
 @pytest.mark.parametrize(("state", "error"), CARD_STATES)
-def test_the_card_is_told_to_the_ecosystem_as_it_is(
-    server: MakeServer, state: LogState, error: LogError
-) -> None:
-    s = server()
-    s.log.state, s.log.error = state, error
-    card = told(s, Msp.SDCARD_SUMMARY)
+def test_the_card_is_told_to_the_ecosystem_as_it_is(server: Server, state: LogState, error: LogError) -> None:
+    server.log.state, server.log.error = state, error
+    card = told(server, Msp.SDCARD_SUMMARY)
     assert (card["state"], card["last_error"]) == CARD_STATES[state, error]
     assert (card["flags"], card["free"], card["total"]) == (1, 0x80000, 0x90000)
 
 
 @pytest.mark.parametrize("device", [LogDevice.NONE, LogDevice.SERIAL])
-def test_there_is_no_card_when_the_log_goes_elsewhere(server: MakeServer, device: LogDevice) -> None:
-    s = server()
-    s.settings.blackbox_device = device
-    card = told(s, Msp.SDCARD_SUMMARY)
+def test_there_is_no_card_when_the_log_goes_elsewhere(server: Server, device: LogDevice) -> None:
+    server.settings.blackbox_device = device
+    card = told(server, Msp.SDCARD_SUMMARY)
     assert card == {"flags": 1, "state": 0, "last_error": 0, "free": 0, "total": 0}
-    s.services.blackbox = s.core.ffi.NULL
-    assert told(s, Msp.SDCARD_SUMMARY) == card
 
 
-def test_there_is_no_flash_for_logs(server: MakeServer) -> None:
-    assert not any(told(server(), Msp.DATAFLASH_SUMMARY).values())
+def test_there_is_no_flash_for_logs(server: Server) -> None:
+    assert not any(told(server, Msp.DATAFLASH_SUMMARY).values())

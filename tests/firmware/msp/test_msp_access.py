@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
@@ -30,17 +30,14 @@ def access(message: Msp, payload: bytes) -> Access:
 
 
 @pytest.mark.parametrize("message", Msp, ids=lambda message: message.name)
-def test_a_request_is_refused_while_armed_where_the_contract_says_so(
-    server: Callable[..., Server], message: Msp
-) -> None:
-    s = server()
-    s.status.trace.armed = 1
+def test_a_request_is_refused_while_armed_where_the_contract_says_so(server: Server, message: Msp) -> None:
+    server.status.trace.armed = 1
     refused: dict[bool, set[bytes]] = {True: set(), False: set()}  # by whether it is carried out at any time
     for payload in payloads(message):
-        answer = s.ask(message, payload)
+        answer = server.ask(message, payload)
         reason = answer.payload[:1] if answer.direction is Direction.ERROR else b""
         refused[access(message, payload).when is MspWhen.ALWAYS].add(reason)
-        assert ("storing", True) not in [call[:2] for call in s.calls]
+        assert ("storing", True) not in [call[:2] for call in server.calls]
     armed = bytes([Refusal.ARMED])
     assert armed not in refused[True]
     if refused[False] and message is not Msp.STREAM_SAMPLE:
@@ -49,31 +46,27 @@ def test_a_request_is_refused_while_armed_where_the_contract_says_so(
 
 
 @pytest.mark.parametrize("message", Msp, ids=lambda message: message.name)
-def test_nothing_arms_meanwhile_where_the_contract_says_so(
-    server: Callable[..., Server], message: Msp
-) -> None:
-    s = server()
-    s.answers["storing"] = int(Refusal.ARMED)  # armed since the status was told
+def test_nothing_arms_meanwhile_where_the_contract_says_so(server: Server, message: Msp) -> None:
+    server.answers["storing"] = int(Refusal.ARMED)  # armed since the status was told
     for payload in payloads(message):
-        s.calls.clear()
-        before = s.chip.operations
-        s.ask(message, payload)
+        server.calls.clear()
+        before = server.chip.operations
+        server.ask(message, payload)
         stores = access(message, payload).when is MspWhen.STORING
-        assert stores or ("storing", True, before) not in s.calls
-        assert s.chip.operations == before
+        assert stores or ("storing", True, before) not in server.calls
+        assert server.chip.operations == before
     if access(message, payload).when is MspWhen.STORING or message is Msp.FAULTS:
-        s.calls.clear()
-        s.ask(message, STORED[message])
-        assert ("storing", True, before) in s.calls
+        server.calls.clear()
+        assert server.refusal(message, STORED[message]) == (Refusal.ARMED, 0)
+        assert ("storing", True, before) in server.calls
 
 
 @pytest.mark.parametrize("message", Msp, ids=lambda message: message.name)
 def test_a_request_is_refused_for_no_other_reason_than_the_contract_names(
-    server: Callable[..., Server], message: Msp
+    server: Server, message: Msp
 ) -> None:
-    s = server()
     for payload in payloads(message):
-        answer = s.ask(message, payload)
+        answer = server.ask(message, payload)
         if answer.direction is Direction.ERROR and answer.payload:
             known = access(message, payload)
             assert Refusal(answer.payload[0]) in {*known.refusals, Refusal.ARMED}, payload

@@ -154,8 +154,8 @@ def test_the_battery_is_told_as_it_is(ground: Ground) -> None:
         battery.cells = int(rng.integers(9))
         analog, state = ask(ground, Msp.ANALOG), ask(ground, Msp.BATTERY_STATE)
         assert state.cells == battery.cells
-        assert state.level == LEVELS[ground.lib.battery_level(held)]
-        drawn = whole(ground.lib.battery_mah(held))
+        assert state.level == LEVELS[held.level]
+        drawn = whole(held.mah)
         for told in (analog, state):
             assert told.voltage_v * 100 == pytest.approx(whole(battery.volts * 100) % 2**16, abs=0.51)
             assert told.current_a * 100 == pytest.approx(whole(battery.amps * 100), abs=0.51)

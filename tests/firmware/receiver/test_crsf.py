@@ -149,24 +149,6 @@ def test_nothing_comes_out_when_any_bit_of_a_frame_is_wrong(push: Push) -> None:
         assert push(b"\x55" * 70) == []  # a length that grew may have kept it waiting
 
 
-def test_the_next_frame_comes_out_when_a_byte_is_missing(push: Push) -> None:
-    good = channels()
-    for cut in range(len(good)):
-        events = push(good[:cut] + good[cut + 1 :] + good + bytes(70))
-        assert events == [sticks()], cut
-
-
-@pytest.mark.parametrize("length", [0, 1, 63, 64, 200, 255])
-def test_a_length_that_no_frame_has_is_no_frame_when_it_comes(push: Push, length: int) -> None:
-    assert push(bytes([SYNC, length]) + channels()) == [sticks()]
-
-
-def test_another_address_begins_no_frame_when_it_comes(push: Push) -> None:
-    body = channels()[2:]
-    assert push(bytes([0xEE, 24]) + body) == []
-    assert push(channels()) == [sticks()]
-
-
 def test_frames_come_out_at_once_when_noise_before_them_has_no_sync(push: Push) -> None:
     rng = np.random.default_rng(2)
     for _ in range(300):

@@ -151,30 +151,6 @@ def test_the_rate_ends_below_the_gyros_range_when_more_is_set(scripted: Any, sty
         assert rates.at(us)[0] == pytest.approx(sign * math.radians(RATE_MAX_DEG_S), rel=1e-6)
 
 
-@pytest.mark.parametrize("style", [ACTUAL, BETAFLIGHT])
-def test_the_curve_is_odd_and_never_falls_when_the_stick_goes_out(scripted: Any, style: int) -> None:
-    rates = Rates(
-        scripted,
-        rates_style=style,
-        roll_rate=1.5,
-        roll_max=0.8 if style else 800.0,
-        roll_expo=0.4,
-        deadband_us=7,
-    )
-    upper = [rates.at(us)[0] for us in range(1500, 2001)]
-    assert upper == sorted(upper)
-    assert [-rates.at(us)[0] for us in range(1500, 999, -1)] == upper
-    assert upper[:8] == [0.0] * 8 and upper[8] > 0
-
-
-@pytest.mark.parametrize("us", [0, 880, 999, 2001, 2159, 65535])
-def test_setpoint_is_at_its_end_when_the_stick_is_beyond_it(scripted: Any, us: int) -> None:
-    rates = Rates(scripted, **FLIGHT_RATES)
-    end = 1000 if us < 1500 else 2000
-    assert rates.setpoint([us] * 16) == rates.setpoint([end] * 16)
-    assert abs(rates.setpoint([us] * 16)[0]) == pytest.approx(math.radians(1000), rel=1e-7)
-
-
 def test_throttle_is_linear_and_clamped_when_the_stick_moves(scripted: Any) -> None:
     for us in [0, 880, *range(1000, 2001), 2159, 65535]:
         channels = [1500] * 16

@@ -104,6 +104,12 @@ def make(scripted: Any, sbus: Frame) -> Callable[..., Receiver]:
 Make = Callable[..., Receiver]
 
 
+@pytest.fixture
+def receiver(make: Make) -> Receiver:
+    """With the default settings, at 1 kHz."""
+    return make()
+
+
 # --- The link ---------------------------------------------------------------------------------
 @pytest.mark.parametrize("rate_hz", [1000, 2000, 4000, 8000])
 @pytest.mark.parametrize(("hold_ms", "delay_ms"), [(None, None), (100, 200), (None, 400), (1000, 20_000)])
@@ -127,8 +133,7 @@ def test_link_is_held_and_then_lost_when_silence_lasts_as_long_as_is_set(
     assert receiver.link() == lib.RECEIVER_LOST
 
 
-def test_link_is_good_again_at_once_when_it_was_only_held(make: Make, scripted: Any) -> None:
-    receiver = make()
+def test_link_is_good_again_at_once_when_it_was_only_held(receiver: Receiver, scripted: Any) -> None:
     receiver.recover()
     receiver.tick(RECEIVER_LOST_MS - 1)
     assert receiver.link() == scripted.lib.RECEIVER_HOLD
@@ -159,8 +164,7 @@ def test_a_lost_link_is_good_when_frames_have_come_for_as_long_as_it_takes(
 
 
 @pytest.mark.parametrize("setback", ["gap", "failsafe"])
-def test_recovery_begins_anew_when_it_is_set_back(make: Make, scripted: Any, setback: str) -> None:
-    receiver = make()
+def test_recovery_begins_anew_when_it_is_set_back(receiver: Receiver, scripted: Any, setback: str) -> None:
     receiver.run(RECEIVER_RECOVERY_MS - 10)
     if setback == "failsafe":
         receiver.frame(failsafe=True)
@@ -188,8 +192,7 @@ def test_link_recovers_as_slowly_when_a_long_hold_is_set(make: Make, scripted: A
     assert receiver.link() == scripted.lib.RECEIVER_LOST
 
 
-def test_link_is_lost_when_nothing_was_ever_heard(make: Make, scripted: Any) -> None:
-    receiver = make()
+def test_link_is_lost_when_nothing_was_ever_heard(receiver: Receiver, scripted: Any) -> None:
     assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
     receiver.tick(5000)
     assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
@@ -201,9 +204,8 @@ PRESET = [2000, 1000, 1000, 2000, *[1000] * 12]  # what a receiver may have been
 
 @pytest.mark.parametrize("frame_lost", [False, True])
 def test_it_holds_at_once_and_flies_on_with_the_first_good_frame_when_frames_say_failsafe(
-    make: Make, scripted: Any, frame_lost: bool
+    receiver: Receiver, scripted: Any, frame_lost: bool
 ) -> None:
-    receiver = make()
     receiver.recover()
     for _ in range(3):
         for _ in range(5):
@@ -401,8 +403,9 @@ def test_the_crc_of_crsf_misses_two_flipped_bits_when_they_lie_93_apart_and_yet_
     assert ends > 0, "some of them say off"
 
 
-def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(make: Make, scripted: Any) -> None:
-    receiver = make()
+def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(
+    receiver: Receiver, scripted: Any
+) -> None:
     receiver.recover()
     for _ in range(RECEIVER_HOLD_MS):
         receiver.frame([2000] * CHANNEL_COUNT, frame_lost=True)
@@ -414,8 +417,7 @@ def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(make: Mak
 
 
 # --- Bytes ------------------------------------------------------------------------------------
-def test_every_frame_is_seen_when_several_come_at_once(make: Make, sbus: Frame) -> None:
-    receiver = make()
+def test_every_frame_is_seen_when_several_come_at_once(receiver: Receiver, sbus: Frame) -> None:
     receiver.recover()
     values = [[992] * CHANNEL_COUNT for _ in range(3)]
     for index, throttle in enumerate((1792, 192, 1792)):
@@ -722,23 +724,22 @@ def test_sticks_jump_when_there_is_no_interval_yet(make: Make) -> None:
     assert receiver.self.interval == 0
 
 
-def test_sticks_stay_as_sent_when_interpolation_is_off(make: Make) -> None:
-    receiver = make()
+def test_sticks_stay_as_sent_when_interpolation_is_off(receiver: Receiver) -> None:
     receiver.run(400, every_ms=10, channels=sticks_at(1000))
     receiver.frame(sticks_at(2000))
     assert receiver.channels() == sticks_at(2000)
 
 
 # --- Quality ----------------------------------------------------------------------------------
-def test_quality_is_full_when_every_frame_comes(make: Make) -> None:
-    receiver = make()
+def test_quality_is_full_when_every_frame_comes(receiver: Receiver) -> None:
     receiver.run(3000, every_ms=9)
     assert receiver.quality() >= 99
 
 
 @pytest.mark.parametrize("marked", [False, True])
-def test_quality_is_the_share_that_came_when_every_fourth_is_missing(make: Make, marked: bool) -> None:
-    receiver = make()
+def test_quality_is_the_share_that_came_when_every_fourth_is_missing(
+    receiver: Receiver, marked: bool
+) -> None:
     receiver.run(2000)
     for index in range(200):
         if index % 4 != 0:
@@ -749,16 +750,14 @@ def test_quality_is_the_share_that_came_when_every_fourth_is_missing(make: Make,
     assert receiver.quality() == pytest.approx(75, abs=1)
 
 
-def test_quality_is_exact_when_frames_are_few(make: Make) -> None:
-    receiver = make()
+def test_quality_is_exact_when_frames_are_few(receiver: Receiver) -> None:
     for index in range(40):
         receiver.frame(frame_lost=index % 2 == 1)
         receiver.tick(100)
     assert receiver.quality() == 50
 
 
-def test_quality_falls_within_a_second_and_is_none_when_the_link_is_lost(make: Make) -> None:
-    receiver = make()
+def test_quality_falls_within_a_second_and_is_none_when_the_link_is_lost(receiver: Receiver) -> None:
     receiver.run(2000)
     receiver.tick(400)
     assert 55 <= receiver.quality() <= 75
@@ -768,8 +767,7 @@ def test_quality_falls_within_a_second_and_is_none_when_the_link_is_lost(make: M
     assert receiver.quality() == 0
 
 
-def test_quality_is_judged_by_the_new_beat_when_a_slower_receiver_returns(make: Make) -> None:
-    receiver = make()
+def test_quality_is_judged_by_the_new_beat_when_a_slower_receiver_returns(receiver: Receiver) -> None:
     receiver.run(2000, every_ms=5)
     receiver.tick(RECEIVER_LOST_MS)
     receiver.run(2000, every_ms=20)

@@ -9,22 +9,18 @@
 #include "firmware.h"
 #include "msp/msp_port.h"
 #include "storage/policy_blob.h"
-#include "storage/settings.h"
+#include "services.h"
 
 int main(void)
 {
-	static const struct board_identity identity = {
-		.board = "FUZZ", .target = "FUZZ", .maker = "FUZZ", .mcu = "FUZZ"
-	};
-	static const struct pid_gains no_pid = { .motor_count = 0 };
-	struct nf_settings settings;
+	const struct services services = board_services();
 	const struct firmware_config config = {
 		.gyro_rate_hz = 1000,
 		.alignment = ALIGN_CW90,
 		.settings = &settings,
 		.weights = policy_weights,
 		.policy_good = true,
-		.pid = &no_pid,
+		.pid = services.pid,
 	};
 	static const struct policy_blob_identity identity_of_blob = {
 		.architecture_hash = 1,
@@ -39,10 +35,9 @@ int main(void)
 	struct msp_port port;
 	unsigned long samples = 0, replies = 0, blobs = 0;
 
-	settings_default(&settings);
 	if (!fw || firmware_init(fw, &config) != NF_OK)
 		return 2;
-	msp_port_init(&port, &identity, NULL);
+	msp_port_init(&port, &services);
 	for (int low, high; (low = getchar()) != EOF && (high = getchar()) != EOF;) {
 		const int length = low | high << 8;
 		/* Exact sizes on the heap, so that one byte too far is seen. */
@@ -67,6 +62,7 @@ int main(void)
 		free(dshot);
 	}
 	free(fw);
+	free(model.bytes);
 	printf("%lu %lu %lu\n", samples, replies, blobs);
 	return 0;
 }

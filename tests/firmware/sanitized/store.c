@@ -7,61 +7,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "blackbox/blackbox.h"
-#include "hal/host/flash_model.h"
-#include "msp/msp_commands.h"
 #include "msp/msp_port.h"
-#include "policy.h"
-#include "storage/settings_store.h"
+#include "services.h"
 
-static struct flash_model model;
-static struct flash flash;
-static struct nf_settings settings;
-static struct policy_slots slots;
-static struct fault_log faults;
-static struct task_stats tasks[TASK_COUNT];
-static struct gyro gyro;
-static struct blackbox blackbox;
-static struct policy policy;
-static _Alignas(8) float weights[POLICY_WEIGHT_COUNT];
-static unsigned long replies, sets, policies;
-
-static enum nf_refusal storing(void *context, bool busy)
-{
-	(void)context;
-	(void)busy;
-	return NF_REFUSAL_NONE;
-}
-
-static enum nf_refusal channels(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT])
-{
-	(void)context;
-	return channels_us[NF_CHANNEL_COUNT - 1] ? NF_REFUSAL_NONE : NF_REFUSAL_ABSENT;
-}
-
-static enum nf_refusal motors(void *context, const uint16_t values_us[], size_t count)
-{
-	(void)context;
-	return count > 0 && values_us[count - 1] ? NF_REFUSAL_NONE : NF_REFUSAL_RANGE;
-}
-
-static void boot(void)
-{
-	static const struct policy_blob_identity running = {
-		.architecture_hash = POLICY_ARCHITECTURE_HASH,
-		.filters_hash = POLICY_FILTERS_HASH,
-		.control_rate_hz = POLICY_CONTROL_RATE_HZ,
-		.weight_count = POLICY_WEIGHT_COUNT,
-		.observation_count = POLICY_OBSERVATION_COUNT,
-		.action_count = POLICY_ACTION_COUNT,
-	};
-	static const struct fault_record record = { .kind = FAULT_ASSERT, .line = 1, .file = "x.c" };
-
-	flash_model_init(&model, model.bytes);
-	sets += settings_load(&settings, &flash);
-	policies += policy_slots_choose(&slots, &flash, &running, 0, &policy, weights) == NF_OK;
-	fault_log_boot(&faults, &flash, faults.boots % 3 ? NULL : &record);
-}
+static unsigned long replies;
 
 static void serve(struct msp_port *port, const uint8_t *bytes, size_t count)
 {
@@ -80,7 +29,7 @@ static void put(const uint8_t *bytes, size_t count)
 	uint32_t at;
 
 	if (count < sizeof at) {
-		boot();
+		board_boot();
 		return;
 	}
 	memcpy(&at, bytes, sizeof at);
@@ -91,31 +40,10 @@ static void put(const uint8_t *bytes, size_t count)
 
 int main(void)
 {
-	static const struct board_identity identity = {
-		.board = "FUZZ", .target = "FUZZ", .maker = "FUZZ", .mcu = "FUZZ"
-	};
-	const struct msp_services services = {
-		.flash = &flash,
-		.settings = &settings,
-		.slots = &slots,
-		.faults = &faults,
-		.tasks = tasks,
-		.storing = storing,
-		.channels = channels,
-		.motors = motors,
-		.blackbox = &blackbox,
-	};
-	const struct blackbox_config no_device = { .gyro = &gyro, .about = { .settings = &settings } };
+	const struct services services = board_services();
 	struct msp_port port;
 
-	model.bytes = aligned_alloc(8, NF_FLASH_BYTES);
-	if (!model.bytes)
-		return 2;
-	memset(model.bytes, 0xFF, NF_FLASH_BYTES);
-	flash = flash_model_interface(&model);
-	boot();
-	blackbox_init(&blackbox, &no_device);
-	msp_port_init(&port, &identity, &services);
+	msp_port_init(&port, &services);
 	for (int kind, low, high; (kind = getchar()) != EOF && (low = getchar()) != EOF && (high = getchar()) != EOF;) {
 		const size_t length = (size_t)(low | high << 8);
 		uint8_t *bytes = malloc(length + 1); /* exact, so that one byte too far is seen */

@@ -49,7 +49,8 @@ class Attitude:
 
     @property
     def tilt_deg(self) -> float:
-        return float(self._lib.attitude_tilt_deg(self.struct))
+        x, y, z = self.up
+        return float(np.degrees(np.arctan2(np.hypot(x, y), z)))
 
     @property
     def euler_deg(self) -> list[float]:
@@ -60,6 +61,11 @@ class Attitude:
 @pytest.fixture
 def make(scripted: Any) -> Callable[..., Attitude]:
     return lambda *args: Attitude(scripted, *args)
+
+
+@pytest.fixture
+def attitude(make: Callable[..., Attitude]) -> Attitude:
+    return make()
 
 
 def apart_deg(a: Array, b: Array) -> float:
@@ -105,10 +111,7 @@ def test_tilt_stays_true_when_a_noisy_biased_gyro_flies_random_rates(
     assert max(errors) < 3
 
 
-def test_tilt_is_true_after_a_flip_when_the_accelerometer_feels_only_thrust(
-    make: Callable[..., Attitude],
-) -> None:
-    attitude = make()
+def test_tilt_is_true_after_a_flip_when_the_accelerometer_feels_only_thrust(attitude: Attitude) -> None:
     attitude.settle((0, 0, GRAVITY), 2 * RATE_HZ)
     rate = np.radians([720.0, 30.0, -20.0])
     truth = Rotation.identity()
@@ -143,15 +146,13 @@ def test_the_start_is_the_accelerometers_when_the_board_lies_tilted(
     assert attitude.tilt_deg == pytest.approx(apart_deg(up_at(truth), np.array([0, 0, 1])), abs=0.01)
 
 
-def test_it_starts_upside_down_when_the_board_lies_exactly_so(make: Callable[..., Attitude]) -> None:
-    attitude = make()
+def test_it_starts_upside_down_when_the_board_lies_exactly_so(attitude: Attitude) -> None:
     attitude.settle((0, 0, -GRAVITY), 10)
     assert attitude.tilt_deg == pytest.approx(180, abs=1e-3)
     assert attitude.euler_deg[1] == pytest.approx(0, abs=0.1)
 
 
-def test_angles_are_scipys_when_the_attitude_is_any(make: Callable[..., Attitude]) -> None:
-    attitude = make()
+def test_angles_are_scipys_when_the_attitude_is_any(attitude: Attitude) -> None:
     for truth in Rotation.random(300, random_state=4):  # type: ignore[attr-defined]
         x, y, z, w = truth.as_quat()
         attitude.struct.q = [w, x, y, z]
@@ -168,8 +169,7 @@ def test_signs_are_the_houses_when_it_turns_about_one_axis(make: Callable[..., A
         assert attitude.euler_deg == pytest.approx(30 * np.eye(3)[axis], abs=0.01)
 
 
-def test_it_is_known_when_the_accelerometer_was_believed_for_a_second(make: Callable[..., Attitude]) -> None:
-    attitude = make()
+def test_it_is_known_when_the_accelerometer_was_believed_for_a_second(attitude: Attitude) -> None:
     attitude.settle((0, 0, 0))
     attitude.settle((0, 0, 0.84 * GRAVITY))
     attitude.settle((0, 1.16 * GRAVITY, 0))
@@ -194,8 +194,7 @@ def test_noise_is_averaged_when_it_settles(make: Callable[..., Attitude]) -> Non
     assert list(attitude.struct.bias) == [0, 0, 0], "what the start was wrong by is no offset of the gyro"
 
 
-def test_a_gyros_offset_is_learnt_when_it_stays(make: Callable[..., Attitude]) -> None:
-    attitude = make()
+def test_a_gyros_offset_is_learnt_when_it_stays(attitude: Attitude) -> None:
     attitude.settle((0, 0, GRAVITY), SETTLING)
     for _ in range(120 * RATE_HZ):
         attitude.step(np.radians([1.0, -1.0, 0.0]), (0, 0, GRAVITY))
@@ -204,9 +203,8 @@ def test_a_gyros_offset_is_learnt_when_it_stays(make: Callable[..., Attitude]) -
 
 
 def test_the_learnt_offset_has_a_limit_when_the_accelerometer_contradicts_the_gyro(
-    make: Callable[..., Attitude],
+    attitude: Attitude,
 ) -> None:
-    attitude = make()
     attitude.settle((0, 0, GRAVITY), SETTLING)
     for _ in range(20 * RATE_HZ):
         attitude.step((2.0, 0, 0), (0, 0, GRAVITY))

@@ -66,9 +66,9 @@ class Banks:
 
 
 @pytest.fixture
-def banks(chip: MakeChip) -> Callable[[], Banks]:
-    """Makes empty ones."""
-    return lambda: Banks(chip())
+def banks(chip: MakeChip) -> Banks:
+    """Empty ones."""
+    return Banks(chip())
 
 
 # --- The header -----------------------------------------------------------------------------------
@@ -108,8 +108,8 @@ def test_a_header_is_refused_when_no_image_has_its_size(scripted: Core, size: in
     assert judge(scripted, changed(make_image(1), "image_bytes", struct.pack("<I", size)), 1) == found
 
 
-def test_an_image_is_whole_unless_any_of_its_words_is_another(banks: Callable[[], Banks]) -> None:
-    b, image = banks(), make_image(5)
+def test_an_image_is_whole_unless_any_of_its_words_is_another(banks: Banks) -> None:
+    b, image = banks, make_image(5)
     b.put(1, image)
     assert b.whole(1)
     for at in range(0, len(image), 4):
@@ -119,8 +119,8 @@ def test_an_image_is_whole_unless_any_of_its_words_is_another(banks: Callable[[]
     assert b.whole(1), "what is behind its end is none of it"
 
 
-def test_an_image_is_judged_with_its_first_bytes_from_elsewhere(banks: Callable[[], Banks]) -> None:
-    b, image = banks(), make_image(5)
+def test_an_image_is_judged_with_its_first_bytes_from_elsewhere(banks: Banks) -> None:
+    b, image = banks, make_image(5)
     b.put(1, b"\xff" * 8 + image[8:])
     header = b.core.new("struct nf_image_header *")
     b.core.ffi.memmove(header, header_of(image), len(header_of(image)))
@@ -189,8 +189,8 @@ def test_the_bank_is_the_right_one_whatever_the_marks_are(scripted: Core) -> Non
 
 # --- Marks ----------------------------------------------------------------------------------------
 @pytest.mark.parametrize("bank", [0, 1])
-def test_marks_are_what_the_toolchain_writes(banks: Callable[[], Banks], bank: int) -> None:
-    b, image = banks(), make_image(1, bank=bank)
+def test_marks_are_what_the_toolchain_writes(banks: Banks, bank: int) -> None:
+    b, image = banks, make_image(1, bank=bank)
     b.put(bank, image)
     assert b.marks(bank) == Marks(installed=True)
     for sequence, confirmed, written in itertools.product((0, 1, 77, TOP), (False, True), (False, True)):
@@ -198,92 +198,83 @@ def test_marks_are_what_the_toolchain_writes(banks: Callable[[], Banks], bank: i
         assert b.marks(bank) == Marks(numbered=True, sequence=sequence, confirmed=confirmed)
 
 
-def test_an_image_is_not_confirmed_when_it_has_no_number(banks: Callable[[], Banks]) -> None:
-    b = banks()
-    b.put(0, make_image(1, bank=0))
-    assert b.lib.image_bank_confirm(b.chip.flash, 0)
-    assert not b.marks(0).confirmed, "what an interrupted erase leaves of an old image may look so"
-    assert b.number(0)
-    assert b.marks(0) == Marks(numbered=True, sequence=1, confirmed=True)
+def test_an_image_is_not_confirmed_when_it_has_no_number(banks: Banks) -> None:
+    banks.put(0, make_image(1, bank=0))
+    assert banks.lib.image_bank_confirm(banks.chip.flash, 0)
+    assert not banks.marks(0).confirmed, "what an interrupted erase leaves of an old image may look so"
+    assert banks.number(0)
+    assert banks.marks(0) == Marks(numbered=True, sequence=1, confirmed=True)
 
 
 @pytest.mark.parametrize("bank", [0, 1])
-def test_a_mark_stands_when_it_is_made_and_made_again(banks: Callable[[], Banks], bank: int) -> None:
-    b = banks()
-    flash = b.chip.flash
-    assert b.number(bank)
+def test_a_mark_stands_when_it_is_made_and_made_again(banks: Banks, bank: int) -> None:
+    flash = banks.chip.flash
+    assert banks.number(bank)
     for starts in (1, 2):
-        assert b.lib.image_bank_count_start(flash, bank)
-        assert b.marks(bank) == Marks(numbered=True, sequence=1, starts=starts)
-    operations = b.chip.operations
-    assert b.lib.image_bank_count_start(flash, bank), "there is no place for more, nor need"
-    assert b.number(bank), "it keeps the one it has"
-    assert b.chip.operations == operations
+        assert banks.lib.image_bank_count_start(flash, bank)
+        assert banks.marks(bank) == Marks(numbered=True, sequence=1, starts=starts)
+    operations = banks.chip.operations
+    assert banks.lib.image_bank_count_start(flash, bank), "there is no place for more, nor need"
+    assert banks.number(bank), "it keeps the one it has"
+    assert banks.chip.operations == operations
     for _ in range(2):
-        assert b.lib.image_bank_confirm(flash, bank)
-        assert b.marks(bank) == Marks(numbered=True, sequence=1, starts=2, confirmed=True)
+        assert banks.lib.image_bank_confirm(flash, bank)
+        assert banks.marks(bank) == Marks(numbered=True, sequence=1, starts=2, confirmed=True)
     for _ in range(2):
-        assert b.lib.image_bank_reject(flash, bank)
-        assert b.marks(bank) == Marks(numbered=True, sequence=1, starts=2, confirmed=True, rejected=True)
-    assert b.chip.operations == operations + 2
-    assert b.marks(1 - bank) == Marks(installed=True), "the other bank's are its own"
+        assert banks.lib.image_bank_reject(flash, bank)
+        assert banks.marks(bank) == Marks(numbered=True, sequence=1, starts=2, confirmed=True, rejected=True)
+    assert banks.chip.operations == operations + 2
+    assert banks.marks(1 - bank) == Marks(installed=True), "the other bank's are its own"
 
 
-def test_an_image_that_was_written_is_not_started_until_it_has_a_number(banks: Callable[[], Banks]) -> None:
-    b = banks()
-    assert b.lib.image_bank_claim(b.chip.flash, 1)
-    assert b.marks(1) == Marks()
-    assert b.number(1)
-    assert b.marks(1) == Marks(numbered=True, sequence=1)
+def test_an_image_that_was_written_is_not_started_until_it_has_a_number(banks: Banks) -> None:
+    assert banks.lib.image_bank_claim(banks.chip.flash, 1)
+    assert banks.marks(1) == Marks()
+    assert banks.number(1)
+    assert banks.marks(1) == Marks(numbered=True, sequence=1)
 
 
 @pytest.mark.parametrize(("other", "sequence"), [(None, 1), (1, 2), (HALF, HALF + 1), (TOP, 0)])
-def test_a_number_is_newer_than_the_other_banks(
-    banks: Callable[[], Banks], other: int | None, sequence: int
-) -> None:
-    b = banks()
+def test_a_number_is_newer_than_the_other_banks(banks: Banks, other: int | None, sequence: int) -> None:
     if other is not None:
-        b.put(0, make_image(1, bank=0), state(sequence=other, confirmed=True))
-    assert b.number(1)
-    assert b.marks(1) == Marks(numbered=True, sequence=sequence)
+        banks.put(0, make_image(1, bank=0), state(sequence=other, confirmed=True))
+    assert banks.number(1)
+    assert banks.marks(1) == Marks(numbered=True, sequence=sequence)
 
 
 @pytest.mark.parametrize("other", [None, 1, HALF, TOP - 1, TOP])
-def test_a_number_is_there_or_not_when_power_goes(banks: Callable[[], Banks], other: int | None) -> None:
+def test_a_number_is_there_or_not_when_power_goes(banks: Banks, other: int | None) -> None:
     """And the next try succeeds: also one after so many that each spoilt a place."""
-    b = banks()
     if other is not None:
-        b.put(0, make_image(1, bank=0), state(sequence=other, confirmed=True))
-    before = b.chip.content
-    assert b.number(1)
-    wanted = b.marks(1)
+        banks.put(0, make_image(1, bank=0), state(sequence=other, confirmed=True))
+    before = banks.chip.content
+    assert banks.number(1)
+    wanted = banks.marks(1)
     for at, kind, seed in itertools.product(range(2), KINDS, range(8)):
-        b.chip.content = before
+        banks.chip.content = before
         for spoilt in range(IMAGE_NUMBER_ENTRIES - 1):
-            if b.marks(1).numbered:
+            if banks.marks(1).numbered:
                 break
-            b.chip.cut(at, kind, seed + 8 * spoilt)
-            assert not b.number(1)
-            b.chip.power_on()
-            assert b.marks(1) in (Marks(installed=True), wanted), (at, kind, seed)
+            banks.chip.cut(at, kind, seed + 8 * spoilt)
+            assert not banks.number(1)
+            banks.chip.power_on()
+            assert banks.marks(1) in (Marks(installed=True), wanted), (at, kind, seed)
             counts = at == 1 or wanted.sequence == 0  # whose second word is as erased
-            assert counts or not b.marks(1).numbered, "its last word makes it count"
-        assert b.number(1)
-        assert b.marks(1) == wanted
+            assert counts or not banks.marks(1).numbered, "its last word makes it count"
+        assert banks.number(1)
+        assert banks.marks(1) == wanted
 
 
-def test_no_number_is_had_when_all_places_are_spoilt(banks: Callable[[], Banks]) -> None:
-    b = banks()
+def test_no_number_is_had_when_all_places_are_spoilt(banks: Banks) -> None:
     for _ in range(IMAGE_NUMBER_ENTRIES):
-        assert not b.marks(1).numbered
+        assert not banks.marks(1).numbered
         place = FLASH_BANKS[1].address + FLASH_BANKS[1].size - IMAGE_TAIL_BYTES
-        b.chip.fill(place + 4, bytes(4 * IMAGE_NUMBER_WORDS * IMAGE_NUMBER_ENTRIES))
-    assert not b.number(1)
+        banks.chip.fill(place + 4, bytes(4 * IMAGE_NUMBER_WORDS * IMAGE_NUMBER_ENTRIES))
+    assert not banks.number(1)
 
 
-def test_no_bits_pass_for_a_number_that_were_programmed_in_part(banks: Callable[[], Banks]) -> None:
+def test_no_bits_pass_for_a_number_that_were_programmed_in_part(banks: Banks) -> None:
     """Every single bit of every word on its way, for numbers whose words have few zeros."""
-    b = banks()
     place = FLASH_BANKS[1].address + FLASH_BANKS[1].size - IMAGE_TAIL_BYTES + 4
     for sequence in (0, 1, 2, 5, 0xFEFFFFFF, HALF - 1, HALF, TOP - 1, TOP):
         entry = (sequence, sequence ^ TOP)
@@ -294,17 +285,17 @@ def test_no_bits_pass_for_a_number_that_were_programmed_in_part(banks: Callable[
                 torn = [*entry[:step], other, *[TOP] * (1 - step)]
                 if tuple(torn) == entry:
                     continue
-                b.chip.fill(place, struct.pack("<2I", *torn))
-                assert not b.marks(1).numbered, (sequence, step, bit)
+                banks.chip.fill(place, struct.pack("<2I", *torn))
+                assert not banks.marks(1).numbered, (sequence, step, bit)
 
 
 @pytest.mark.parametrize("name", ["claim", "confirm", "reject", "count_start"])
-def test_a_mark_can_be_made_again_when_power_goes(banks: Callable[[], Banks], name: str) -> None:
+def test_a_mark_can_be_made_again_when_power_goes(chip: MakeChip, name: str) -> None:
     def make(b: Banks) -> bool:
         return bool(getattr(b.lib, f"image_bank_{name}")(b.chip.flash, 1))
 
     for kind, seed in itertools.product(KINDS, range(8)):
-        b = banks()
+        b = Banks(chip())
         b.put(1, make_image(1), state(sequence=3, confirmed=False))
         before = b.marks(1)
         b.chip.cut(0, kind, seed)

@@ -65,8 +65,8 @@ class Store:
 
 
 @pytest.fixture
-def store(chip: MakeChip) -> Callable[[], Store]:
-    return lambda: Store(chip())
+def store(chip: MakeChip) -> Store:
+    return Store(chip())
 
 
 MODES = [setting.name for setting in SETTINGS if setting.kind == "mode"]
@@ -101,38 +101,37 @@ def as_set(
 
 
 # --- Sets come back ---------------------------------------------------------------------------
-def test_defaults_are_loaded_when_flash_is_erased_or_noise(store: Callable[[], Store]) -> None:
-    s = store()
-    assert s.load() == (False, {})
+def test_defaults_are_loaded_when_flash_is_erased_or_noise(store: Store) -> None:
+    assert store.load() == (False, {})
     noise = np.random.default_rng(3).bytes(FLASH_SETTINGS[0].size)
     for region in FLASH_SETTINGS:
-        s.chip.fill(region.address, noise)
-        assert s.load() == (False, {})
-        s.chip.fill(region.address, bytes(region.size))
-        assert s.load() == (False, {})
+        store.chip.fill(region.address, noise)
+        assert store.load() == (False, {})
+        store.chip.fill(region.address, bytes(region.size))
+        assert store.load() == (False, {})
 
 
-def test_the_last_set_comes_back_when_saved_again_and_again(store: Callable[[], Store]) -> None:
-    s = store()
+def test_the_last_set_comes_back_when_saved_again_and_again(store: Store) -> None:
     for deadband in range(1, 12):
-        before = s.chip.operations
-        assert s.save(deadband_us=deadband) == Refusal.NONE
-        assert s.chip.operations - before == OPERATIONS
-        assert s.load() == (True, {"deadband_us": deadband})
-        s.chip.power_on()
-        assert s.load() == (True, {"deadband_us": deadband})
+        before = store.chip.operations
+        assert store.save(deadband_us=deadband) == Refusal.NONE
+        assert store.chip.operations - before == OPERATIONS
+        assert store.load() == (True, {"deadband_us": deadband})
+        store.chip.power_on()
+        assert store.load() == (True, {"deadband_us": deadband})
 
 
-def test_sectors_take_turns_when_saved(store: Callable[[], Store]) -> None:
-    s = store()
+def test_sectors_take_turns_when_saved(store: Store) -> None:
     for deadband in range(1, 7):
-        before = [s.chip.region(region) for region in FLASH_SETTINGS]
-        s.save(deadband_us=deadband)
-        changed = [s.chip.region(region) != old for region, old in zip(FLASH_SETTINGS, before, strict=True)]
+        before = [store.chip.region(region) for region in FLASH_SETTINGS]
+        store.save(deadband_us=deadband)
+        changed = [
+            store.chip.region(region) != old for region, old in zip(FLASH_SETTINGS, before, strict=True)
+        ]
         assert changed == [deadband % 2 == 1, deadband % 2 == 0]
 
 
-def test_a_set_of_every_setting_comes_back_when_none_is_at_its_default(store: Callable[[], Store]) -> None:
+def test_a_set_of_every_setting_comes_back_when_none_is_at_its_default(store: Store) -> None:
     def other(setting: Setting) -> float | bytes:
         if setting.kind == "text":
             return TEXT
@@ -148,24 +147,22 @@ def test_a_set_of_every_setting_comes_back_when_none_is_at_its_default(store: Ca
             return setting.betaflight.high
         return setting.high if setting.default != setting.high else setting.low
 
-    s = store()
     changes = {setting.name: other(setting) for setting in SETTINGS}
     changes |= {"filter4_hz": 3000.0, "filter3_hz": 3000.0, "filter2_hz": 3000.0, "filter1_hz": 3000.0}
     changes |= {"battery_low_v": 2.5}
     changes |= {f"{axis}_max": 0.0 for axis in AXES}  # beside the highest RC rate
-    assert s.save(**changes) == Refusal.NONE
-    found, loaded = s.load()
+    assert store.save(**changes) == Refusal.NONE
+    found, loaded = store.load()
     assert found
     assert set(loaded) == set(changes)
     assert loaded == pytest.approx(changes)
 
 
-def test_nothing_is_written_when_settings_do_not_go_together(store: Callable[[], Store]) -> None:
-    s = store()
-    assert s.save(**OLD) == Refusal.NONE
-    before, operations = s.chip.content, s.chip.operations
-    assert s.save(map_roll=1) == Refusal.CONFLICT
-    assert (s.chip.content, s.chip.operations) == (before, operations)
+def test_nothing_is_written_when_settings_do_not_go_together(store: Store) -> None:
+    assert store.save(**OLD) == Refusal.NONE
+    before, operations = store.chip.content, store.chip.operations
+    assert store.save(map_roll=1) == Refusal.CONFLICT
+    assert (store.chip.content, store.chip.operations) == (before, operations)
 
 
 # --- Sets of other versions -------------------------------------------------------------------
@@ -174,15 +171,14 @@ def test_nothing_is_written_when_settings_do_not_go_together(store: Callable[[],
 )
 @pytest.mark.parametrize("place", [0, 1])
 def test_the_newer_set_wins_when_both_sectors_hold_one_and_numbers_wrap(
-    store: Callable[[], Store], older: int, newer: int, place: int
+    store: Store, older: int, newer: int, place: int
 ) -> None:
-    s = store()
-    s.chip.fill(FLASH_SETTINGS[place].address, as_set({"deadband_us": 1}, newer))
-    s.chip.fill(FLASH_SETTINGS[1 - place].address, as_set({"deadband_us": 2}, older))
-    assert s.load() == (True, {"deadband_us": 1})
+    store.chip.fill(FLASH_SETTINGS[place].address, as_set({"deadband_us": 1}, newer))
+    store.chip.fill(FLASH_SETTINGS[1 - place].address, as_set({"deadband_us": 2}, older))
+    assert store.load() == (True, {"deadband_us": 1})
     for deadband in (3, 4, 5):
-        assert s.save(deadband_us=deadband) == Refusal.NONE
-        assert s.load() == (True, {"deadband_us": deadband})
+        assert store.save(deadband_us=deadband) == Refusal.NONE
+        assert store.load() == (True, {"deadband_us": deadband})
 
 
 @pytest.mark.parametrize(
@@ -197,13 +193,12 @@ def test_the_newer_set_wins_when_both_sectors_hold_one_and_numbers_wrap(
 )
 @pytest.mark.parametrize("style_first", [False, True])
 def test_a_set_is_never_flown_with_the_rates_of_another_style_when_loaded(
-    store: Callable[[], Store], stored: dict[str, float], flown: dict[str, float], style_first: bool
+    store: Store, stored: dict[str, float], flown: dict[str, float], style_first: bool
 ) -> None:
-    s = store()
     style: dict[str, float] = {"rates_style": 1}
-    s.chip.fill(FLASH_SETTINGS[0].address, as_set(style | stored if style_first else stored | style, 3))
-    made = s.core.new("struct nf_settings *")
-    assert s.core.lib.settings_load(made, s.chip.flash)
+    store.chip.fill(FLASH_SETTINGS[0].address, as_set(style | stored if style_first else stored | style, 3))
+    made = store.core.new("struct nf_settings *")
+    assert store.core.lib.settings_load(made, store.chip.flash)
     assert made.rates_style == 1
     assert {name: getattr(made, name) for name in flown} == pytest.approx(flown, rel=1e-7)
     assert (made.yaw_rate, made.yaw_max) == pytest.approx((1.0, 0.7))
@@ -235,66 +230,58 @@ def test_a_set_is_never_flown_with_the_rates_of_another_style_when_loaded(
     ],
 )
 def test_what_this_version_does_not_take_is_told_and_arms_on_no_other_switch(
-    store: Callable[[], Store], stored: dict[str, Any], differ: dict[str, float], whole: bool
+    store: Store, stored: dict[str, Any], differ: dict[str, float], whole: bool
 ) -> None:
-    s = store()
-    s.chip.fill(FLASH_SETTINGS[0].address, as_set(stored, 3))
-    assert s.load() == (True, differ)
-    assert s.loaded == (s.core.lib.SETTINGS_AS_STORED if whole else s.core.lib.SETTINGS_MENDED)
-    made = s.core.new("struct nf_settings *")
-    s.core.lib.settings_load(made, s.chip.flash)
-    assert s.core.lib.settings_save(made, s.chip.flash) == Refusal.NONE
-    s.load()
-    assert s.loaded == s.core.lib.SETTINGS_AS_STORED, "once saved it is what the pilot has seen"
+    store.chip.fill(FLASH_SETTINGS[0].address, as_set(stored, 3))
+    assert store.load() == (True, differ)
+    assert store.loaded == (store.core.lib.SETTINGS_AS_STORED if whole else store.core.lib.SETTINGS_MENDED)
+    made = store.core.new("struct nf_settings *")
+    store.core.lib.settings_load(made, store.chip.flash)
+    assert store.core.lib.settings_save(made, store.chip.flash) == Refusal.NONE
+    store.load()
+    assert store.loaded == store.core.lib.SETTINGS_AS_STORED, "once saved it is what the pilot has seen"
 
 
-def test_old_values_are_kept_when_the_firmware_has_more_settings(store: Callable[[], Store]) -> None:
-    s = store()
-    s.chip.fill(FLASH_SETTINGS[1].address, as_set({"yaw_expo": 0.5, "deadband_us": 20}, 3))
-    assert s.load() == (True, {"yaw_expo": 0.5, "deadband_us": 20})
+def test_old_values_are_kept_when_the_firmware_has_more_settings(store: Store) -> None:
+    store.chip.fill(FLASH_SETTINGS[1].address, as_set({"yaw_expo": 0.5, "deadband_us": 20}, 3))
+    assert store.load() == (True, {"yaw_expo": 0.5, "deadband_us": 20})
 
 
-def test_unknown_settings_are_passed_over_when_the_firmware_has_fewer(store: Callable[[], Store]) -> None:
-    s = store()
+def test_unknown_settings_are_passed_over_when_the_firmware_has_fewer(store: Store) -> None:
     values = {"deadband_us": 20, "to_come": 77, "yaw_expo": 0.5}
-    s.chip.fill(FLASH_SETTINGS[0].address, as_set(values, 3))
-    assert s.load() == (True, {"yaw_expo": 0.5, "deadband_us": 20})
+    store.chip.fill(FLASH_SETTINGS[0].address, as_set(values, 3))
+    assert store.load() == (True, {"yaw_expo": 0.5, "deadband_us": 20})
 
 
-def test_values_find_their_settings_when_they_stand_in_another_order(store: Callable[[], Store]) -> None:
-    s = store()
+def test_values_find_their_settings_when_they_stand_in_another_order(store: Store) -> None:
     changed: dict[str, float | bytes] = {"pitch_max": 720.0, "pilot_name": TEXT}
     values = {setting.name: setting.default for setting in reversed(SETTINGS) if setting.kind != "text"}
-    s.chip.fill(FLASH_SETTINGS[0].address, as_set({**values, **changed}, 3))
-    assert s.load() == (True, changed)
+    store.chip.fill(FLASH_SETTINGS[0].address, as_set({**values, **changed}, 3))
+    assert store.load() == (True, changed)
 
 
-def test_a_text_comes_back_when_it_was_saved(store: Callable[[], Store]) -> None:
-    s = store()
-    s.save(craft_name=TEXT, pilot_name=b"A")
-    assert s.load() == (True, {"craft_name": TEXT, "pilot_name": b"A"})
+def test_a_text_comes_back_when_it_was_saved(store: Store) -> None:
+    store.save(craft_name=TEXT, pilot_name=b"A")
+    assert store.load() == (True, {"craft_name": TEXT, "pilot_name": b"A"})
 
 
-def test_a_text_is_the_default_when_a_part_of_it_is_missing(store: Callable[[], Store]) -> None:
-    s = store()
+def test_a_text_is_the_default_when_a_part_of_it_is_missing(store: Store) -> None:
     whole = as_set({"craft_name": TEXT, "deadband_us": 7}, 3)
     head, entries = whole[:16], whole[16:-4]
     body = head[:12] + struct.pack("<I", 4) + entries[:16] + entries[24:]
-    s.chip.fill(FLASH_SETTINGS[0].address, body + struct.pack("<I", zlib.crc32(body)))
-    assert s.load() == (True, {"deadband_us": 7})
+    store.chip.fill(FLASH_SETTINGS[0].address, body + struct.pack("<I", zlib.crc32(body)))
+    assert store.load() == (True, {"deadband_us": 7})
 
 
-def test_a_value_is_the_default_when_its_limits_have_changed_since(store: Callable[[], Store]) -> None:
-    s = store()
+def test_a_value_is_the_default_when_its_limits_have_changed_since(store: Store) -> None:
     values = {"deadband_us": 101, "motor_limit": float("nan"), "yaw_expo": 0.5}
-    s.chip.fill(FLASH_SETTINGS[0].address, as_set(values, 3))
-    assert s.load() == (True, {"yaw_expo": 0.5})
+    store.chip.fill(FLASH_SETTINGS[0].address, as_set(values, 3))
+    assert store.load() == (True, {"yaw_expo": 0.5})
 
 
-def test_conflicting_values_are_mended_when_loaded(store: Callable[[], Store]) -> None:
-    s = store()
-    s.chip.fill(FLASH_SETTINGS[0].address, as_set({"map_aux1": 0, "map_aux2": 7, "yaw_expo": 0.5}, 3))
-    assert s.load() == (True, {"yaw_expo": 0.5})
+def test_conflicting_values_are_mended_when_loaded(store: Store) -> None:
+    store.chip.fill(FLASH_SETTINGS[0].address, as_set({"map_aux1": 0, "map_aux2": 7, "yaw_expo": 0.5}, 3))
+    assert store.load() == (True, {"yaw_expo": 0.5})
 
 
 @pytest.mark.parametrize(
@@ -308,14 +295,13 @@ def test_conflicting_values_are_mended_when_loaded(store: Callable[[], Store]) -
     ],
     ids=["magic", "layout", "crc", "count", "count past the sector"],
 )
-def test_the_older_set_is_loaded_when_the_newer_is_broken(store: Callable[[], Store], broken: bytes) -> None:
-    s = store()
-    s.chip.fill(FLASH_SETTINGS[0].address, as_set({"deadband_us": 1}, 4))
-    s.chip.fill(FLASH_SETTINGS[1].address, broken)
-    assert s.load() == (True, {"deadband_us": 1})
-    s.save(deadband_us=2)
-    assert s.load() == (True, {"deadband_us": 2})
-    assert s.chip.region(FLASH_SETTINGS[0])[: len(as_set({"deadband_us": 1}, 4))] == as_set(
+def test_the_older_set_is_loaded_when_the_newer_is_broken(store: Store, broken: bytes) -> None:
+    store.chip.fill(FLASH_SETTINGS[0].address, as_set({"deadband_us": 1}, 4))
+    store.chip.fill(FLASH_SETTINGS[1].address, broken)
+    assert store.load() == (True, {"deadband_us": 1})
+    store.save(deadband_us=2)
+    assert store.load() == (True, {"deadband_us": 2})
+    assert store.chip.region(FLASH_SETTINGS[0])[: len(as_set({"deadband_us": 1}, 4))] == as_set(
         {"deadband_us": 1}, 4
     ), "the good one was not the one to be erased"
 
@@ -326,21 +312,20 @@ def test_each_setting_has_a_key_of_its_own_when_named() -> None:
     assert len(keys) == WORDS
 
 
-def test_a_save_says_so_when_flash_does_not_take_it(store: Callable[[], Store]) -> None:
+def test_a_save_says_so_when_flash_does_not_take_it(chip: MakeChip) -> None:
     for at in range(OPERATIONS):
-        s = store()
+        s = Store(chip())
         s.chip.cut(at, 0, 1)
         assert s.save(**NEW) == Refusal.FLASH
 
 
-def test_a_save_says_so_when_flash_only_claims_to_have_taken_it(store: Callable[[], Store]) -> None:
-    s = store()
-    assert s.save(**OLD) == Refusal.NONE
-    claims = s.core.ffi.callback("bool(void *, uint32_t, const void *, size_t)", lambda *_: True)
-    s.chip.flash.program = claims
-    assert s.save(**NEW) == Refusal.FLASH
-    s.chip.power_on()
-    assert s.load() == (True, OLD)
+def test_a_save_says_so_when_flash_only_claims_to_have_taken_it(store: Store) -> None:
+    assert store.save(**OLD) == Refusal.NONE
+    claims = store.core.ffi.callback("bool(void *, uint32_t, const void *, size_t)", lambda *_: True)
+    store.chip.flash.program = claims
+    assert store.save(**NEW) == Refusal.FLASH
+    store.chip.power_on()
+    assert store.load() == (True, OLD)
 
 
 # --- Power goes ---------------------------------------------------------------------------------
@@ -348,34 +333,33 @@ def test_a_save_says_so_when_flash_only_claims_to_have_taken_it(store: Callable[
 @pytest.mark.parametrize("saves", [0, 1, 2, 3])
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_old_or_the_new_set_is_there_when_power_goes_at_any_operation(
-    store: Callable[[], Store], saves: int, kind: int
+    store: Store, saves: int, kind: int
 ) -> None:
-    s = store()
     for save in range(saves):
-        s.save(**(OLD if save == saves - 1 else {"deadband_us": 99}))
-    before = s.chip.content
+        store.save(**(OLD if save == saves - 1 else {"deadband_us": 99}))
+    before = store.chip.content
     old = (True, OLD) if saves else (False, {})
-    assert s.load() == old
+    assert store.load() == old
     seen = []
     for at in range(OPERATIONS):
         for seed in (11 * at, 11 * at + 1):
-            s.chip.content = before
-            s.chip.cut(at, kind, seed)
-            assert s.save(**NEW) == Refusal.FLASH
-            s.chip.power_on()
-            loaded = s.load()
+            store.chip.content = before
+            store.chip.cut(at, kind, seed)
+            assert store.save(**NEW) == Refusal.FLASH
+            store.chip.power_on()
+            loaded = store.load()
             assert loaded in (old, (True, NEW)), (at, seed)
             seen.append(loaded == old)
-        assert s.save(deadband_us=50) == Refusal.NONE, "it can be saved again"
-        assert s.load() == (True, {"deadband_us": 50})
+        assert store.save(deadband_us=50) == Refusal.NONE, "it can be saved again"
+        assert store.load() == (True, {"deadband_us": 50})
     assert all(seen[: 2 * (OPERATIONS - 1)]), "nothing is new before its CRC stands"
     if kind == 1:
         assert not any(seen[2 * (OPERATIONS - 1) :]), "all had been written when power went"
 
 
-def test_a_set_is_there_when_power_goes_again_and_again(store: Callable[[], Store]) -> None:
+def test_a_set_is_there_when_power_goes_again_and_again(store: Store) -> None:
     """Cuts one after the other, without a whole save between them: what was good stays good."""
-    s, rng = store(), np.random.default_rng(8)
+    s, rng = store, np.random.default_rng(8)
     s.save(**OLD)
     good: Mapping[str, float | bytes] = OLD
     for attempt in range(300):

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.cli.main import main
 from neuroflight.flash.betaflight.diff_file import read_diff
 from neuroflight.flash.betaflight.plan import fitted, needed
 from neuroflight.flash.betaflight.planner import plan_import
@@ -24,8 +23,8 @@ from neuroflight.toolchain.contract import FlightState, Msp
 from neuroflight.toolchain.errors import LinkError
 from neuroflight.toolchain.image.elf import read_flashable
 from tests.flash.lockstep import Lockstep
+from tests.flash.peers import Run
 
-Run = Callable[..., tuple[int, str, str]]
 LayLine = Callable[..., str]
 DIFF = """Entering CLI Mode, type 'exit' to return, or 'help'
 
@@ -77,16 +76,9 @@ def diff(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def msp(resting_host: str, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Return a function that runs `msp` with words and the port: exit code, stdout, stderr."""
-
-    def run(*words: str, port: str = resting_host) -> tuple[int, str, str]:
-        code = main(["board", "settings", *words, "--port", port])
-        output = capsys.readouterr()
-        assert output.err.count("\n") <= 1
-        return code, output.out, output.err
-
-    return run
+def msp(msp: Run, resting_host: str) -> Run:
+    """Give it words behind `settings`: exit code, stdout, stderr. `port`: another than the host program's."""
+    return Run(lambda *words, port=resting_host: msp(port, "settings", *words))
 
 
 def changed(msp: Run) -> dict[str, object]:
@@ -97,8 +89,7 @@ def changed(msp: Run) -> dict[str, object]:
 
 
 def test_what_has_a_counterpart_is_stored_and_the_rest_is_told(msp: Run, diff: Path, tmp_path: Path) -> None:
-    code, out, _ = msp("import", str(diff), "--yes")
-    assert code == 0
+    out = msp.told("import", str(diff), "--yes")
     assert changed(msp) == pytest.approx(WANTED)
     assert b"NFPS" in (tmp_path / "flash.bin").read_bytes()
     for words in (
@@ -112,8 +103,7 @@ def test_what_has_a_counterpart_is_stored_and_the_rest_is_told(msp: Run, diff: P
         "all stored; rates, dead bands and PID factors are flown at once, others from the next boot on",
     ):
         assert words in out, out
-    code, out, _ = msp("import", str(diff))
-    assert code == 0
+    out = msp.told("import", str(diff))
     assert "nothing is changed; all of it is so already" in out
 
 
@@ -122,6 +112,9 @@ def test_a_dry_run_says_the_same_and_changes_nothing(msp: Run, diff: Path, tmp_p
     code, dry, _ = msp("import", str(diff), "--dry-run")
     assert code == 0
     assert dry.endswith("nothing is changed: a dry run\n")
+    told = json.loads(msp("import", str(diff), "--dry-run", "--json")[1])
+    assert told["stored"] is False and told["changed"] and f"{told['brought']} brought over" in dry
+    assert f"{len(told['left'])} left" in dry
     assert changed(msp) == {}
     wet = msp("import", str(diff), "--yes")[1]
     assert dry.splitlines()[:-1] == wet.splitlines()[:-1]
@@ -143,7 +136,7 @@ def test_it_asks_on_a_terminal_and_needs_yes_elsewhere(
 ) -> None:
     got, _, err = msp("import", str(diff))
     assert got == 1
-    assert "nothing is changed; give --yes if that is meant: set and store " in err
+    assert "about to set and store " in err and "give --yes; nothing is changed" in err
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     monkeypatch.setattr("sys.stdin.readline", lambda: typed, raising=False)
     assert msp("import", str(diff))[0] == code
@@ -187,8 +180,7 @@ def test_nothing_is_stored_when_the_line_is_cut_midway(
         sets += asked.command == Msp.SETTING_SET
         return b"" if sets > 5 else data
 
-    code, _, err = msp("import", str(diff), "--yes", port=pty_line(resting_host, down=cut))
-    assert code == 1
+    err = msp.refused("import", str(diff), "--yes", port=pty_line(resting_host, down=cut))
     assert "nothing is stored" in err
     assert (tmp_path / "flash.bin").read_bytes() == before
 
@@ -239,8 +231,7 @@ def test_nothing_changes_while_armed(booted: Lockstep, diff: Path, tmp_path: Pat
 def test_one_line_says_why_a_file_is_refused(msp: Run, tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "other.txt"
     file.write_text(text)
-    code, out, err = msp("import", str(file), "--yes", "--rate-profile", "4")
-    assert (code, out) == (1, "")
+    err = msp.refused("import", str(file), "--yes", "--rate-profile", "4")
     assert words in err
     assert changed(msp) == {}
 
@@ -252,6 +243,7 @@ def test_the_version_and_the_rate_profile_can_be_told(msp: Run, tmp_path: Path) 
     assert changed(msp) == {"rates_style": "betaflight", "roll_max": pytest.approx(0.2)}
 
 
+@pytest.mark.slow
 def test_the_image_on_the_emulated_board_takes_it(board_image: Path, diff: Path) -> None:
     idle = IdleBoard(with_image(read_flashable(board_image.with_suffix(".bin")), None), elf=board_image)
     try:

@@ -16,6 +16,7 @@ from neuroflight.flash.betaflight.planner import plan_import
 from neuroflight.flash.settings.text import default_of, value_text
 from neuroflight.toolchain.contract import SETTINGS
 from neuroflight.toolchain.errors import LinkError
+from tests.sampling import examples
 
 ROOT = Path(__file__).resolve().parents[3]
 DEFAULTS = {setting.name: default_of(setting) for setting in SETTINGS}
@@ -433,11 +434,10 @@ def invented(rng: random.Random) -> str:
     return rng.choice(["\n", "\r\n"]).join(lines)
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_every_line_is_brought_over_or_left_with_a_reason(make: Make, seed: int) -> None:
-    """Plan 1,000 files; their lines are counted from the text, not by the code under test."""
-    rng = random.Random(seed)
-    for _ in range(100):
+def test_every_line_is_brought_over_or_left_with_a_reason(make: Make) -> None:
+    """Their lines are counted from the text, not by the code under test."""
+    rng = random.Random(1)
+    for _ in range(examples(1600)):
         text, version = invented(rng), rng.choice(["3.1.7", "4.0.0", "4.5.1", "2025.12.1", "9.9"])
         plan = make(text, version, board=rng.choice(["MATEKF722", "OMNIBUS"]))
         whole = (header(version) + text).split("\n")

@@ -7,6 +7,7 @@ import random
 import pytest
 
 from neuroflight.flash.betaflight.rate_curves import AxisRates, Profile, Style, nearest_style
+from tests.sampling import examples
 
 AXES = ("roll", "pitch", "yaw")
 STICKS = [at / 200 for at in range(201)]
@@ -78,7 +79,7 @@ def drawn(rng: random.Random, kind: str, expo: int) -> list[tuple[int, int, int]
 )
 def test_the_curve_is_the_same_where_a_style_has_it(kind: str, expo: int) -> None:
     rng = random.Random(kind)
-    for _ in range(200):
+    for _ in range(examples(200)):
         numbers = drawn(rng, kind, expo)
         style = nearest_style(profile_of(kind, numbers))
         assert style.off == 0.0
@@ -91,7 +92,7 @@ def test_the_curve_is_the_same_where_a_style_has_it(kind: str, expo: int) -> Non
 )
 def test_the_nearest_curve_ends_the_same_and_tells_how_far_off_it_is(kind: str, quick: bool) -> None:
     rng = random.Random(f"{kind}{quick}")
-    for _ in range(6):
+    for _ in range(1 + examples(8)):
         numbers = drawn(rng, kind, 60)
         style = nearest_style(profile_of(kind, numbers, quick))
         error = largest_error(kind, numbers, style, quick)

@@ -1,11 +1,9 @@
-"""Image files for the host program, and a host program that comes back when it was told to restart."""
+"""Image files for the host program."""
 
 from __future__ import annotations
 
 import struct
-import subprocess
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -83,56 +81,3 @@ def host_file(host_images: list[bytes], board_policy: Policy, tmp_path: Path) ->
     path = tmp_path / "host.nfi"
     path.write_bytes(b"".join(host_images) + board_policy.data)
     return path
-
-
-class RevivingHost:
-    """A host program on one port, started again whenever it ends; its flash is a file."""
-
-    def __init__(self, program: Path, flash: Path) -> None:
-        self._command = [str(program), "--gyro-hz=1000", f"--settings={flash}", "--with-parent"]
-        self._command += [f"--{name}-port=0" for name in ("state", "receiver", "power")]
-        self._ending = False
-        self.starts = 0
-        self._process = self._start("0")
-        assert self._process.stdout is not None
-        words = self._process.stdout.readline().split()[1:]
-        self._number = dict(word.split("=") for word in words)["msp"]
-        self._thread = threading.Thread(target=self._revive, daemon=True)
-        self._thread.start()
-
-    @property
-    def port(self) -> str:
-        return f"tcp:127.0.0.1:{self._number}"
-
-    def _start(self, number: str) -> subprocess.Popen[str]:
-        self.starts += 1
-        return subprocess.Popen(
-            [*self._command, f"--msp-port={number}"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-
-    def _revive(self) -> None:
-        while True:
-            self._process.communicate()
-            if self._ending:
-                return
-            self._process = self._start(self._number)
-
-    def interrupt(self) -> None:
-        """End the program; it is started again, as when the cable that powers a board is pulled."""
-        self._process.kill()
-
-    def close(self) -> None:
-        self._ending = True
-        self._process.terminate()
-        self._thread.join(timeout=5)
-
-
-@pytest.fixture
-def reviving_host(host_program: Path, tmp_path: Path) -> Iterator[RevivingHost]:
-    """A host program whose flash is tmp_path/flash.bin."""
-    host = RevivingHost(host_program, tmp_path / "flash.bin")
-    yield host
-    host.close()

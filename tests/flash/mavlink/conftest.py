@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from functools import cache
@@ -19,7 +18,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
 from neuroflight.flash.link.client import Client
-from neuroflight.flash.link.transport import TcpPort, TcpTransport, Transport
+from neuroflight.flash.link.transport import TcpPort, TcpTransport, Transport, open_transport
 from neuroflight.flash.mavlink.endpoint import UdpPeer, parse_address
 from neuroflight.flash.mavlink.session import Options, Session
 from neuroflight.flash.settings.text import RATES, STYLE
@@ -30,9 +29,10 @@ from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.physics.world import Mount
 from neuroflight.sim.ports.host import HostPort
 from neuroflight.sim.ports.port import Reply, Sample
+from tests.flash.peers import host_board
 
 LOOPBACK = "127.0.0.1"
-GYRO_HZ = 2000
+GYRO_HZ = 1000
 RATES_AND_THRUST = 0b1000_0000  # type_mask of SET_ATTITUDE_TARGET
 RECEIVER_MSP = {"receiver_protocol": 2.0}
 READY_MS = 1400  # from power-on: calibrated, the delay of arming over
@@ -216,38 +216,27 @@ class Lockstep:
 
 
 @cache
-def flash_of(program: Path, settings: tuple[tuple[str, float], ...]) -> bytes:
-    """The flash of a host program that holds these settings."""
+def stored_flash(program: Path, settings: tuple[tuple[str, float], ...]) -> tuple[bytes, dict[str, float]]:
+    """The flash of a host program that holds these settings, and its rates."""
     with TemporaryDirectory() as folder:
         flash = Path(folder) / "flash.bin"
-        store(program, flash, dict(settings))
-        return flash.read_bytes()
+        with asked(program, flash) as kept:
+            kept.change(dict(settings), save=True)
+            rates = rates_of(kept)
+        return flash.read_bytes(), rates
 
 
-def store(program: Path, flash: Path, settings: dict[str, float]) -> None:
-    """Store settings in the flash of a host program."""
-    with asked(program, flash) as kept:
-        kept.change(settings, save=True)
-
-
-def rates_of(program: Path, flash: Path) -> dict[str, float]:
-    """Read the rates that the flash of a host program holds: a port would fly those of scenarios."""
-    with asked(program, flash) as kept:
-        rates = {one.name: float(one.value) for one in kept.read(sorted(RATES))}
-        return {STYLE: int(float(kept.get(STYLE))), **rates}
+def rates_of(kept: Settings) -> dict[str, float]:
+    """Rates as they are stored: a port would fly those of scenarios."""
+    rates = {one.name: float(one.value) for one in kept.read(sorted(RATES))}
+    return {STYLE: int(float(kept.get(STYLE))), **rates}
 
 
 @contextmanager
 def asked(program: Path, flash: Path) -> Iterator[Settings]:
     """Settings of a host program that runs with that flash."""
-    free = [f"--{name}-port=0" for name in ("state", "receiver", "power", "msp")]
-    command = [str(program), f"--settings={flash}", *free, "--with-parent"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        ready = dict(word.split("=") for word in process.stdout.readline().split()[1:])
-        with Client(TcpTransport(TcpPort(LOOPBACK, int(ready["msp"])))) as client:
-            yield Settings(client)
-        process.terminate()
+    with host_board(program, flash) as board, Client(open_transport(board.port)) as client:
+        yield Settings(client)
 
 
 class MakeLockstep:
@@ -262,22 +251,31 @@ class MakeLockstep:
     ) -> Lockstep:
         """stored: settings beside the MSP receiver; more: of Lockstep."""
         flash = self._folder / f"flash{len(list(self._folder.iterdir()))}.bin"
-        flash.write_bytes(flash_of(self._built, tuple((RECEIVER_MSP | (stored or {})).items())))
+        content, rates = stored_flash(self._built, tuple((RECEIVER_MSP | (stored or {})).items()))
+        flash.write_bytes(content)
         # HostPort's programs keep no flash of their own.
         self._program = flash.with_suffix(".sh")
         self._program.write_text(f'#!/bin/sh\nexec "{self._built}" "--settings={flash}" "$@"\n')
         self._program.chmod(0o755)
         self._flash = flash
-        self._last = self._start(options, **more)
+        self._last = self._start(options, rates, **more)
         return self._last
 
     def again(self, options: Options = Options()) -> Lockstep:  # noqa: B008
         """Another start with what the last one stored."""
         self._last.port.close()  # it holds its flash until it has ended
-        return self._start(options)
+        with asked(self._built, self._flash) as kept:
+            rates = rates_of(kept)
+        return self._start(options, rates)
 
-    def _start(self, options: Options, *, flown: dict[str, float] | None = None, **more: Any) -> Lockstep:
-        rates = rates_of(self._built, self._flash)
+    def _start(
+        self,
+        options: Options,
+        rates: dict[str, float],
+        *,
+        flown: dict[str, float] | None = None,
+        **more: Any,
+    ) -> Lockstep:
         return Lockstep(self._program, self._stack, options, flown={**rates, **(flown or {})}, **more)
 
 

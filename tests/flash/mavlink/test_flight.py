@@ -273,13 +273,3 @@ def test_leaving_offboard_is_a_failsafe_and_not_a_stop_at_once(lockstep: MakeLoc
     assert gateway.session.firmware.safety.state is FlightState.FAILSAFE_HOLD
     assert gateway.reply.dshot.all()
     assert until_stopped(gateway) <= RECEIVER_LOST_MS - 200
-
-
-def test_two_flights_of_one_script_are_the_same(lockstep: MakeLockstep) -> None:
-    def script() -> tuple[object, ...]:
-        gateway = armed(lockstep)
-        for asked in STEPS[:2]:
-            gateway.run(100, steady(gateway, asked))
-        return gateway.reply.step, gateway.reply.dshot.tolist(), gateway.rate
-
-    assert script() == script()

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,8 +13,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from neuroflight.cli.main import main
 from neuroflight.toolchain.contract import SETTINGS
 from tests.flash.mavlink.conftest import LOOPBACK, Station
+from tests.flash.peers import HostBoard
+from tests.forked import Forked
 
-ROOT = Path(__file__).resolve().parents[3]
 WAIT_S = 10.0  # how long anything may take before the test fails
 GONE = "The line to the flight controller is gone; it has 60 s to come back"
 ANYWHERE = f"udp:{LOOPBACK}:14550"
@@ -40,83 +37,35 @@ def station() -> Iterator[Station]:
     made.close()
 
 
-def test_a_ground_station_sees_the_aircraft_and_its_parameters(resting_host: str, station: Station) -> None:
-    command = [sys.executable, "-m", "neuroflight.cli.main", "board", "gateway", "--port", resting_host]
-    with subprocess.Popen(
-        [*command, "--mavlink", station.address],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as gateway:
-        try:
-            until(station, lambda: station.got("HEARTBEAT"))
-            station.raw(bytes(range(256)) * 4)
-            station.link.mav.param_request_list_send(1, 1)
-            count = sum(setting.kind != "text" for setting in SETTINGS)
-            until(station, lambda: len(station.got("PARAM_VALUE")) == count)
-            station.forget()
-            until(station, lambda: len(station.got("HEARTBEAT")) == 2)
-            assert gateway.poll() is None
-        finally:
-            gateway.send_signal(signal.SIGINT)
-            out, errors = gateway.communicate(timeout=WAIT_S)
-    assert (gateway.returncode, errors) == (0, "")
-    lines = out.splitlines()
-    assert lines[0].startswith("Neuroflight 0.1.0, policy nf1 ")
-    assert f"gateway between {resting_host} and {station.address}; Ctrl-C ends it" in lines
-
-
-@contextmanager
-def host_at(program: Path, flash: Path, port: int) -> Iterator[subprocess.Popen[str]]:
-    """Start a host program with that flash and MSP port, which never gets a sample."""
-    free = [f"--{name}-port=0" for name in ("state", "receiver", "power")]
-    command = [str(program), f"--settings={flash}", f"--msp-port={port}", *free, "--with-parent"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("ready")
-        yield process
-        process.terminate()
-
-
-def test_the_gateway_outlives_a_restart_that_a_ground_station_asks_for(
-    host_program: Path, tmp_path: Path, free_tcp_port: int, station: Station
+def test_a_ground_station_sees_the_aircraft_and_its_parameters_and_a_restart_that_it_asks_for(
+    reviving_host: HostBoard, station: Station
 ) -> None:
-    line = f"tcp:{LOOPBACK}:{free_tcp_port}"
-    command = [
-        sys.executable,
-        "-m",
-        "neuroflight.cli.main",
-        "board",
-        "gateway",
-        "--port",
-        line,
-        "--mavlink",
-        station.address,
-    ]
     reboot = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
-    flash = tmp_path / "flash.bin"
-    with ExitStack() as stack, host_at(host_program, flash, free_tcp_port) as host:
-        gateway = stack.enter_context(
-            subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        )
-        stack.callback(gateway.kill)
+    line = reviving_host.port
+    gateway = Forked("board", "gateway", "--port", line, "--mavlink", station.address)
+    try:
         until(station, lambda: station.got("HEARTBEAT"))
+        station.raw(bytes(range(256)) * 4)
+        station.link.mav.param_request_list_send(1, 1)
+        count = sum(setting.kind != "text" for setting in SETTINGS)
+        until(station, lambda: len(station.got("PARAM_VALUE")) == count)
         station.command(reboot, 1)
         until(station, lambda: station.acks(reboot))
         assert station.acks(reboot) == [mavlink.MAV_RESULT_ACCEPTED]
         until(station, lambda: GONE in station.texts())
-        assert host.wait(WAIT_S) == 0, "a program ends there"
-        with host_at(host_program, flash, free_tcp_port):
-            station.forget()
-            until(station, lambda: station.got("HEARTBEAT"))
-            station.link.mav.param_request_read_send(1, 1, b"roll_max", -1)
-            until(station, lambda: station.got("PARAM_VALUE"))
-            assert gateway.poll() is None
-            gateway.send_signal(signal.SIGINT)
-            out, errors = gateway.communicate(timeout=WAIT_S)
+        station.forget()
+        until(station, lambda: station.got("HEARTBEAT"))
+        assert reviving_host.starts == 2, "a program ends there"
+        station.link.mav.param_request_read_send(1, 1, b"roll_max", -1)
+        until(station, lambda: station.got("PARAM_VALUE"))
+        assert gateway.poll() is None
+        gateway.send_signal(signal.SIGINT)
+        out, errors = gateway.communicate(timeout=WAIT_S)
+    finally:
+        gateway.kill()
     assert (gateway.returncode, errors) == (0, "")
-    assert GONE in out and out.count("Neuroflight 0.1.0") == 2
+    assert GONE in out and out.count("Neuroflight 0.1.0, policy nf1 ") == 2
+    assert f"gateway between {line} and {station.address}; Ctrl-C ends it\n" in out
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -133,11 +82,11 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (("--mavlink", "udp:192.0.2.1:14550"), "another computer"),
         (("--mavlink", "tcp:127.0.0.1:1"), "expected udp:HOST:PORT"),
         (("--mavlink", ANYWHERE, "--allow-arm"), "--allow-arm got no --offboard"),
-        (("--mavlink", ANYWHERE, "--timeout", "0"), "--timeout got 0"),
-        (("--mavlink", ANYWHERE, "--timeout", "nan"), "--timeout got nan"),
-        (("--mavlink", ANYWHERE, "--timeout", "60"), "--timeout got 60"),
-        (("--mavlink", ANYWHERE, "--system", "0"), "--system got 0"),
-        (("--mavlink", ANYWHERE) * 9, "9 peers"),
+        (("--mavlink", ANYWHERE, "--timeout", "0"), "--timeout 0, expected 0.05 to 1 s"),
+        (("--mavlink", ANYWHERE, "--timeout", "nan"), "--timeout nan"),
+        (("--mavlink", ANYWHERE, "--timeout", "60"), "--timeout 60, expected"),
+        (("--mavlink", ANYWHERE, "--system", "0"), "--system 0, expected 1 to 255"),
+        (("--mavlink", ANYWHERE) * 9, "--mavlink: 9 values, expected 1 to 8"),
     ],
 )
 def test_a_mistake_is_one_line_before_anything_is_opened(

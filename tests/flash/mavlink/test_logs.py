@@ -113,11 +113,12 @@ def test_that_there_is_no_log_is_told(lockstep: MakeLockstep) -> None:
 
 
 def test_a_log_comes_over_whole(lockstep: MakeLockstep) -> None:
-    for size in (1, 90, 8990, CHUNK + 180, 2 * CHUNK - 1):
-        board = log_board(log_of(50), log_of(size, size))
-        gateway = gateway_of(lockstep, board)
-        assert listed(gateway)[1][4] == size
-        assert download(gateway, 1, size) == board.logs[1]
+    sizes = (1, 90, 8990, CHUNK + 180)
+    board = log_board(*(log_of(size, size) for size in sizes))
+    gateway = gateway_of(lockstep, board)
+    assert [told[4] for told in listed(gateway)] == list(sizes)
+    for number, size in enumerate(sizes):
+        assert download(gateway, number, size) == board.logs[number]
 
 
 def test_gaps_are_sent_again(lockstep: MakeLockstep) -> None:

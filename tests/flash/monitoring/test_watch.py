@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 
 from neuroflight.flash.board.info import read_info
-from neuroflight.flash.link.client import Client
-from neuroflight.flash.link.msp import Decoder, Message, encode, error, reply
 from neuroflight.flash.link.transport import Transport, open_transport
 from neuroflight.flash.monitoring import watch as watching
 from neuroflight.flash.monitoring.snapshot import CHANNELS, read_snapshot
 from neuroflight.flash.monitoring.watch import Watch
 from neuroflight.toolchain.contract import Msp
-from neuroflight.toolchain.errors import LinkError
 from tests.flash.lockstep import Lockstep, lockstep
+from tests.flash.peers import Reply, answering
 
 
 def test_everything_is_seen_of_a_firmware_in_flight(booted: Lockstep) -> None:
@@ -129,24 +127,10 @@ def test_a_silent_firmware_keeps_its_line_and_is_not_waited_for_long(booted: Loc
 def test_a_firmware_of_another_make_shows_what_it_has(
     booted: Lockstep, tcp_server: Callable[..., str]
 ) -> None:
-    inner = Client(open_transport(booted.port))
-    decoder = Decoder()
-
-    def answer(data: bytes) -> bytes:
-        told = b""
-        for asked in decoder.feed(data):
-            assert isinstance(asked, Message)
-            try:
-                if asked.command >= 0x4E00:
-                    raise LinkError("unknown to it")
-                told += encode(reply(asked, inner.request(Msp(asked.command), asked.payload)))
-            except LinkError:
-                told += encode(error(asked))
-        return told
-
-    with Watch(lambda: open_transport(tcp_server(answer))) as watch:
+    ours: dict[int, Reply] = {command: None for command in Msp if command >= 0x4E00}
+    port = tcp_server(answering(ours, through=booted.port))
+    with Watch(lambda: open_transport(port)) as watch:
         sight = watch.look()
-    inner.close()
     assert sight.problem == "" and sight.snapshot is not None and sight.info is not None
     assert sight.info.policy is None and sight.snapshot.tasks is None
     assert sight.snapshot.overview.flight is None

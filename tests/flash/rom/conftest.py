@@ -21,6 +21,7 @@ BAUD = 115_200
 BOOT = bytes.fromhex("00000120 41000008") + bytes(56) + bytes.fromhex("30bf fde7")
 BANK = bytes(range(1, 252)) + b"in two pieces"
 SMALL = (Segment(FLASH_BASE, BOOT), Segment(FLASH_BANK_A.address, BANK))
+FULL = bytes(i % 251 + 1 for i in range(FLASH_BYTES))  # a chip in use
 SLOT_B = Segment(FLASH_POLICY_SLOTS[1].address, bytes(4))  # which every installation clears
 
 
@@ -50,6 +51,13 @@ class Rig:
         """The chip after a power cycle, holding `flash`."""
         self.idle.board.engine.set_memory(FLASH_BASE, flash)
         self.idle.board.reset()
+
+    def check_whole(self) -> None:
+        """Both parts of the image stand in flash, and what lies between their sectors is as it was."""
+        flash = self.idle.flash()
+        assert flash[: len(BOOT)] == BOOT
+        assert flash[0x20000 : 0x20000 + len(BANK)] == BANK
+        assert flash[0x4000:0x20000] == FULL[0x4000:0x20000]
 
     def client(self, around: Callable[[Transport], Transport] = lambda transport: transport) -> RomClient:
         """A client in lockstep; `around` may spoil its line."""

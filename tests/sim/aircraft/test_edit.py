@@ -98,7 +98,7 @@ def test_text_that_looks_like_a_table_is_left_alone_when_it_is_a_string(tmp_path
     [
         (b"", "format: missing"),
         (b"[gyro\n", "not TOML"),
-        (b"\xff", "not TOML"),
+        (b"\xff", "not UTF-8"),
         (b"#" * (FILE_BYTES_MAX + 1), "expected at most"),
         (replaced(b"[gyro]\n" + GYRO, b"").replace(b"format = 1", INLINE), "plain tables"),
         (

@@ -73,12 +73,6 @@ def test_table_goes_to_the_end_when_the_file_has_none(tmp_path: Path) -> None:
     assert load_aircraft(tmp_path / "target.toml").pids == (("tuned", SETTINGS),)
 
 
-def test_line_ends_stay_when_they_are_of_two_characters(tmp_path: Path) -> None:
-    text = written(tmp_path, (BARE + OTHERS).replace("\n", "\r\n"))
-    assert text.count("\n") == text.count("\r\n")
-    assert load_aircraft(tmp_path / "target.toml").pids[0][1] == SETTINGS
-
-
 @pytest.mark.parametrize(
     ("text", "name", "message"),
     [

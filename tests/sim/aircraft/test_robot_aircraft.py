@@ -261,73 +261,42 @@ def test_what_is_not_said_is_another_aircrafts(tmp_path: Path) -> None:
     assert "# as of nf1" in found.text
 
 
+URDF, SDF = (urdf(), "a.urdf"), (sdf(), "a.sdf")
+INCLUDE = "<include><uri>model://{}</uri></include><frame"
+
+
 @pytest.mark.parametrize(
-    ("name", "change", "message"),
+    ("file", "old", "new", "message"),
     [
-        ("a.urdf", ("<robot", '<!DOCTYPE x [<!ENTITY a "b">]><robot'), "has a document type or entities"),
-        ("a.urdf", ("<robot", "<robot><robot"), "not XML: no element found"),
+        (URDF, "<robot", '<!DOCTYPE x [<!ENTITY a "b">]><robot', "has a document type or entities"),
+        (URDF, "<robot", "<robot><robot", "not XML: no element found"),
+        (URDF, '"my quad"', '"${name}"', r"is a template; expand it first, such as `xacro a\.urdf"),
+        (URDF, "robot", "robots", r"its root is <'?robots'?>, expected <robot>"),
+        (URDF, '"0.4"', '"heavy"', "link base: mass: got 'heavy', expected 1 finite number"),
+        (URDF, '"0.4"', '"inf"', "link base: mass: got 'inf', expected 1 finite number"),
+        (URDF, 'base"/><child link="camera"', 'camera"/><child link="camera"', "form a circle"),
+        (URDF, '<child link="camera"/>', '<child link="lens"/>', "its child 'lens' is no link of the file"),
+        (URDF, "Direction>cw<", "Direction>left<", "turningDirection 'left', expected cw or ccw"),
+        (URDF, "Name>rotor_2<", "Name>rotor_7<", "turns link 'rotor_7', which is not in the file"),
+        (URDF, '"0.1 0.1 0.03" rpy="0 0', '"0.1 0.1 0.03" rpy="0.3 0', "rotor rotor_2 turns about"),
         (
-            "a.urdf",
-            ('name="my quad"', 'name="${name}"'),
-            r"is a template; expand it first, such as `xacro a\.urdf",
+            URDF,
+            "1</motorNumber>",
+            "1</motorNumber><motorConstant>3e-06</motorConstant>",
+            "differ in motorConstant",
         ),
-        ("a.urdf", ("robot", "robots"), r"its root is <'?robots'?>, expected <robot>"),
-        (
-            "a.urdf",
-            ('value="0.4"', 'value="heavy"'),
-            "link base: mass: got 'heavy', expected 1 finite number",
-        ),
-        ("a.urdf", ('value="0.4"', 'value="inf"'), "link base: mass: got 'inf', expected 1 finite number"),
-        (
-            "a.urdf",
-            ('<parent link="base"/><child link="camera"/>', '<parent link="camera"/><child link="camera"/>'),
-            "form a circle",
-        ),
-        (
-            "a.urdf",
-            ('<child link="camera"/>', '<child link="lens"/>'),
-            "its child 'lens' is no link of the file",
-        ),
-        (
-            "a.urdf",
-            ("<turningDirection>cw<", "<turningDirection>left<"),
-            "turningDirection 'left', expected cw or ccw",
-        ),
-        (
-            "a.urdf",
-            ("<linkName>rotor_2<", "<linkName>rotor_7<"),
-            "turns link 'rotor_7', which is not in the file",
-        ),
-        (
-            "a.urdf",
-            ('<origin xyz="0.1 0.1 0.03" rpy="0 0 0"/>', '<origin xyz="0.1 0.1 0.03" rpy="0.3 0 0"/>'),
-            "rotor rotor_2 turns about",
-        ),
-        (
-            "a.urdf",
-            ("<motorConstant>2e-06<", "<motorConstant>3e-06<", 1),
-            "its motors differ in motorConstant",
-        ),
-        ("a.sdf", ("<mass>0.05</mass>", ""), "link camera: has no mass, which SDF takes for 1 kg"),
-        ("a.sdf", ('relative_to="mount"', 'relative_to="mast"'), "relative to 'mast', which is no frame"),
-        (
-            "a.sdf",
-            ("<frame", "<include><uri>model://../up</uri></include><frame"),
-            r"includes 'model://\.\./up'",
-        ),
-        (
-            "a.sdf",
-            ("<frame", "<include><uri>model://lens</uri></include><frame"),
-            "includes model://lens, which is not beside it",
-        ),
-        ("a.sdf", ("</sdf>", "<model name='b'/></sdf>"), "2 models, expected a file of one"),
+        (SDF, "<mass>0.05</mass>", "", "link camera: has no mass, which SDF takes for 1 kg"),
+        (SDF, 'relative_to="mount"', 'relative_to="mast"', "relative to 'mast', which is no frame"),
+        (SDF, "<frame", INCLUDE.format("../up"), r"includes 'model://\.\./up'"),
+        (SDF, "<frame", INCLUDE.format("lens"), "includes model://lens, which is not beside it"),
+        (SDF, "</sdf>", "<model name='b'/></sdf>", "2 models, expected a file of one"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(
-    name: str, change: tuple[str, str] | tuple[str, str, int], message: str, tmp_path: Path
+    file: tuple[str, str], old: str, new: str, message: str, tmp_path: Path
 ) -> None:
-    text = urdf() if name.endswith("urdf") else sdf()
-    path = written(tmp_path, text.replace(*change), name)
+    text, name = file
+    path = written(tmp_path, text.replace(old, new), name)
     with pytest.raises(AircraftError, match=message) as caught:
         import_aircraft(path)
     assert "\n" not in str(caught.value)

@@ -44,17 +44,6 @@ def test_share_has_a_width_when_all_succeed() -> None:
     assert (share.low[2], share.high[2]) == pytest.approx((0.404, 0.596), abs=5e-4)
 
 
-def test_paired_difference_holds_the_true_one_when_drawn_again_and_again() -> None:
-    rng = np.random.default_rng(2)
-    hits = []
-    for _ in range(10_000):
-        command = rng.normal(0.0, 50.0, 12)  # what both share, and by far the most of either
-        difference = paired(command + rng.normal(0.0, 1.0, 12), command + rng.normal(0.5, 2.0, 12))
-        assert difference.high - difference.low < 20.0
-        hits.append(difference.low < 0.5 < difference.high)
-    assert np.mean(hits) == pytest.approx(0.95, abs=0.007)
-
-
 def test_paired_difference_is_of_whole_pairs_when_one_lacks_a_number() -> None:
     difference = paired(np.array([1.0, np.nan, 5.0, 7.0]), np.array([2.0, 9.0, np.nan, 10.0]))
     assert (float(difference.value), int(difference.count)) == (2.0, 2)

@@ -6,16 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.flight_report import Flight
 from neuroflight.sim.analysis.flight_verdict import faults, verdict, verdict_of_several
 from neuroflight.sim.analysis.holding import holding
 from neuroflight.sim.analysis.metrics import figures
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.flight.scenario import HOVER_S, flight
-from neuroflight.sim.flight.trace import Trace
+from tests.sim.flight.traces import trace_of
 
-Array = NDArray[np.float64]
 SCENARIO = flight(3, 5, 0.25)
 T = np.arange(round(1000 * SCENARIO.duration_s)) / 1000
 HOVER = round(1000 * HOVER_S)
@@ -27,16 +26,9 @@ NOISE = np.where(np.arange(len(T)) % 2, 0.2, -0.2)[:, None] * np.ones(3)  # [deg
 
 def flown(name: str, error_deg_s: Array | float = NOISE, motors: Array | float = 0.25) -> Flight:
     """A flight of five commands and a hover, each row with that error and those motor values."""
-    values = np.broadcast_to(np.asarray(motors, float).reshape(-1, 1), (len(T), 4))
-    trace = Trace(
-        t=T,
-        setpoint=SETPOINT.astype(np.float32),
-        rate=SETPOINT - np.deg2rad(error_deg_s),
-        gyro=SETPOINT.astype(np.float32),
-        motors=values.copy(),
-        dshot=np.full((len(T), 4), 548, np.uint16),
-        throttle=np.full(len(T), 0.25, np.float32),
-    )
+    values = np.asarray(motors, float).reshape(-1, 1)
+    trace = trace_of(SETPOINT, SETPOINT - np.deg2rad(error_deg_s), SETPOINT, values)
+    trace = replace(trace, throttle=np.full(len(T), 0.25, np.float32))
     before = len(T) - HOVER
     held = holding(trace.setpoint[None], trace.rate[None], 0.001, 5, before)
     return Flight(name, trace, figures(trace.first(before), 5), held, HOVER)

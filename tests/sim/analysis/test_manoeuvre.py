@@ -14,22 +14,14 @@ from neuroflight.sim.analysis.stick_flight import descent_figures, stick_figures
 from neuroflight.sim.flight.motion import Motion
 from neuroflight.sim.flight.scenario import Scenario, Segment
 from neuroflight.sim.flight.trace import Trace
+from tests.sim.flight.traces import trace_of
 
 HZ = 1000
 
 
 def trace(setpoint: np.ndarray, rate: np.ndarray, motors: np.ndarray | None = None) -> Trace:
     """A flight of rates in deg/s."""
-    count = len(setpoint)
-    return Trace(
-        t=np.arange(count) / HZ,
-        setpoint=np.deg2rad(setpoint).astype(np.float32),
-        rate=np.deg2rad(rate),
-        gyro=np.deg2rad(rate).astype(np.float32),
-        motors=np.zeros((count, 4)) if motors is None else motors,
-        dshot=np.full((count, 4), 48, np.uint16),
-        throttle=np.zeros(count, np.float32),
-    )
+    return trace_of(np.deg2rad(setpoint), np.deg2rad(rate), motors=0.0 if motors is None else motors)
 
 
 def motion(height: np.ndarray, **more: Any) -> Motion:

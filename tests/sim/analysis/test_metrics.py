@@ -7,8 +7,8 @@ import pytest
 
 from neuroflight.sim.analysis.metrics import controller_output, effort, figures, tracking
 from neuroflight.sim.control.motors import throttle_mix
-from neuroflight.sim.flight.trace import Trace
 from neuroflight.toolchain.contract import Mix
+from tests.sim.flight.traces import trace_of
 
 STEP_S = 0.001
 
@@ -106,22 +106,9 @@ def test_effort_takes_changes_over_a_millisecond_when_the_rate_is_higher() -> No
     assert effort(ramp, 0.00025).change == pytest.approx(0.001)
 
 
-def make_trace(setpoint: np.ndarray, rate: np.ndarray, gyro: np.ndarray) -> Trace:
-    steps = len(setpoint)
-    return Trace(
-        t=np.arange(steps) / 1000,
-        setpoint=setpoint.astype(np.float32),
-        rate=rate,
-        gyro=gyro.astype(np.float32),
-        motors=np.full((steps, 4), 0.25),
-        dshot=np.full((steps, 4), 548, np.uint16),
-        throttle=np.zeros(steps, np.float32),
-    )
-
-
 def test_figures_begin_each_episode_at_zero_when_a_flight_has_many() -> None:
     zeros = np.zeros((300, 3))
-    trace = make_trace(zeros, zeros + np.deg2rad(2.0), zeros + np.deg2rad(3.0))
+    trace = trace_of(zeros, zeros + np.deg2rad(2.0), zeros + np.deg2rad(3.0))
     whole, parts = figures(trace), figures(trace, episodes=3)
     assert whole.tracking.mae == pytest.approx(np.full(3, 2.0))
     assert parts.tracking.itae == pytest.approx(np.full(3, 2000 * 0.0495))
@@ -133,7 +120,7 @@ def test_figures_begin_each_episode_at_zero_when_a_flight_has_many() -> None:
 
 def test_smoothness_is_the_mean_of_the_episodes_when_a_flight_has_many() -> None:
     zeros = np.zeros((3000, 3))
-    flight = make_trace(zeros, zeros, zeros)
+    flight = trace_of(zeros, zeros, zeros)
     t = np.arange(1000) / 1000
     flight.motors[:1000] += (0.1 * np.sin(2 * np.pi * 50 * t))[:, None]
     # 2 / (500 * 1000) * 0.1 * 50 in one of three
@@ -142,7 +129,7 @@ def test_smoothness_is_the_mean_of_the_episodes_when_a_flight_has_many() -> None
 
 def test_figures_refuse_when_the_episodes_do_not_divide_the_flight() -> None:
     with pytest.raises(ValueError, match="do not divide"):
-        figures(make_trace(*np.zeros((3, 10, 3))), episodes=3)
+        figures(trace_of(*np.zeros((3, 10, 3))), episodes=3)
 
 
 def test_figures_include_the_response_when_a_flight_holds_its_commands() -> None:
@@ -151,7 +138,7 @@ def test_figures_include_the_response_when_a_flight_holds_its_commands() -> None
     rate = setpoint.copy()
     rate[:, 500] = 0.0
     rate[1, 501:1500, 2] = 0.0  # does not answer
-    trace = make_trace(*(array.reshape(-1, 3) for array in (setpoint, rate, rate)))
+    trace = trace_of(*(array.reshape(-1, 3) for array in (setpoint, rate, rate)))
     judged = figures(trace, episodes=2).response
     assert judged is not None
     assert judged.success.value.tolist() == [1.0, 1.0, 0.5]
@@ -160,4 +147,4 @@ def test_figures_include_the_response_when_a_flight_holds_its_commands() -> None
 
 
 def test_figures_leave_the_response_out_when_no_command_is_held() -> None:
-    assert figures(make_trace(*np.zeros((3, 900, 3)))).response is None
+    assert figures(trace_of(*np.zeros((3, 900, 3)))).response is None

@@ -6,11 +6,10 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.response import Hold, hold, in_band, progress, response, response_figures
+from neuroflight.sim.arrays import Array
 
-Array = NDArray[np.float64]
 STEP_S = 0.001
 T = np.arange(1000) * STEP_S
 

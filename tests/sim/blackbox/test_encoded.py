@@ -38,7 +38,7 @@ from tests.sim.blackbox.encoder import (
 )
 
 CASES = 1000  # of each kind
-FEW = 40  # of these, in an ordinary run
+FEW = 20  # of these, in an ordinary run
 ROWS = 70
 EDGES = (0, 1, 137, 138, 1069, 1070, 1500, WORD // 2 - 1)
 

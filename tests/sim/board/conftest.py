@@ -13,7 +13,7 @@ from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.devices.gyro_chip import MPU6500
 from neuroflight.sim.board.native.library import native_library
 from neuroflight.sim.board.registers.bus import load_table
-from tests.sim.board.programs import attach, boot, compile_program, results  # noqa: F401 - fixtures
+from tests.sim.board.programs import boot, compile_program  # noqa: F401 - fixtures
 
 MICROSECOND = 216
 
@@ -171,6 +171,15 @@ class Bench:
         register = "AFRL" if number < 8 else "AFRH"
         self.set(f"{port}_{register}", **{f"{register}{number}": function})
         self.set(f"{port}_MODER", **{f"MODER{number}": 2})
+
+    def stream(
+        self, stream: str, peripheral: int, memory: int, count: int, options: int, *, enable: bool = True
+    ) -> None:
+        """Set up a DMA stream such as "DMA2_S5"; options: of its CR."""
+        for register, value in (("PAR", peripheral), ("M0AR", memory), ("NDTR", count), ("CR", options)):
+            self.write(f"{stream}{register}", value)
+        if enable:
+            self.set(f"{stream}CR", EN=1)
 
 
 @pytest.fixture

@@ -42,6 +42,8 @@ PRELUDE = """
 #define VECTORS(...) __attribute__((section(".vectors"), used)) \
     void *const vectors[120] = { STACK, reset, __VA_ARGS__ }
 """
+Boot = Callable[..., Engine]  # of fixture `boot`
+
 RESULTS = 0x20002000
 DEVICE = 0x40000000
 
@@ -84,6 +86,24 @@ class Device:
         self.log, self.times, self.value = list(state[0]), list(state[1]), state[2]
 
 
+def attach(engine: Engine, irq: int = 0) -> Device:
+    """Put a Device at DEVICE."""
+    device = Device(engine, irq)
+    engine.attach(DEVICE, 0x400, device, "DEVICE")
+    return device
+
+
+def results(engine: Engine, count: int) -> list[int]:
+    """The first words that a program left at RESULT."""
+    return [engine.load(RESULTS + 4 * i, 4) for i in range(count)]
+
+
+def ran(engine: Engine, count: int) -> list[int]:
+    """The same of a program that runs until it rests."""
+    engine.run()
+    return results(engine, count)
+
+
 @pytest.fixture(scope="session")
 def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Program]:
     """Compiles C (with assembly inside) that defines `vectors`; equal sources once."""
@@ -105,29 +125,11 @@ def compile_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str],
 
 
 @pytest.fixture
-def boot(compile_program: Callable[[str], Program]) -> Callable[..., Engine]:
+def boot(compile_program: Callable[[str], Program]) -> Boot:
     """An engine before the first instruction of a program; options are the engine's."""
 
     def make(source: str, **options: Any) -> Engine:
         program = compile_program(source)
         return Engine(program.flash, elf=program.elf, **options)
-
-    return make
-
-
-@pytest.fixture
-def results() -> Callable[[Engine, int], list[int]]:
-    """The first words that a program left at RESULT."""
-    return lambda engine, count: [engine.load(RESULTS + 4 * i, 4) for i in range(count)]
-
-
-@pytest.fixture
-def attach() -> Callable[..., Device]:
-    """Puts a Device at DEVICE."""
-
-    def make(engine: Engine, irq: int = 0) -> Device:
-        device = Device(engine, irq)
-        engine.attach(DEVICE, 0x400, device, "DEVICE")
-        return device
 
     return make

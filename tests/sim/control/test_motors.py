@@ -16,16 +16,6 @@ from neuroflight.toolchain.contract import Mix
 from neuroflight.toolchain.errors import LinkError
 
 
-def test_the_mix_is_the_output_itself_when_the_throttle_is_zero() -> None:
-    y = np.array([[0.1, 0.5, 0.0, 1.0]], np.float32)
-    assert np.array_equal(throttle_mix(y, np.zeros(1, np.float32)), y)
-
-
-def test_attitude_comes_first_when_there_is_no_room_left() -> None:
-    y = np.array([[0.0, 1.0, 0.25, 0.5]], np.float32)
-    assert np.array_equal(throttle_mix(y, np.ones(1, np.float32)), y)
-
-
 def test_thrust_rides_on_top_within_bounds_for_any_output() -> None:
     rng = np.random.default_rng(3)
     y = rng.uniform(0, 1, (1000, 4)).astype(np.float32)
@@ -60,12 +50,6 @@ def test_centred_outputs_turn_only_when_nothing_is_at_its_end(motors: int, data:
         assert u.min() == pytest.approx(0.0, abs=1e-6)
     elif high > 1.0 + 1e-6:
         assert u.max() == pytest.approx(1.0, abs=1e-6)
-
-
-def test_centred_outputs_are_raised_or_lowered_together_at_an_end() -> None:
-    y = np.array([[0.25, 0.75, 0.5, 0.5]] * 3, np.float32)
-    u = throttle_mix(y, np.array([0.0, 0.5, 1.0], np.float32), Mix.CENTRED)
-    assert u.tolist() == [[0, 0.5, 0.25, 0.25], [0.25, 0.75, 0.5, 0.5], [0.5, 1, 0.75, 0.75]]
 
 
 def test_centred_outputs_are_summed_from_the_first_motor_on() -> None:
@@ -116,11 +100,3 @@ def test_motor_fractions_refuse_when_a_value_is_no_throttle(value: int) -> None:
 def test_fractions_have_the_same_bits_when_they_are_looked_up() -> None:
     values = np.array([0, *range(48, 2048)], np.uint16)
     assert each_fraction(values) == motor_fractions(values).tolist()
-
-
-def test_commands_are_the_outputs_within_a_step_of_dshot_when_the_throttle_is_closed() -> None:
-    y = np.random.default_rng(5).uniform(0, 1, (50, 4)).astype(np.float32)
-    still = np.zeros(50, np.float32)
-    assert np.abs(motor_commands(y, still, 0.0) - y).max() <= 0.5001 / 1999
-    raised = motor_commands(y, still, 0.1)
-    assert raised.min() >= 0.1 - 0.5001 / 1999

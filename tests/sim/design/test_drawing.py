@@ -1,6 +1,7 @@
 """The drawing shows every rotor in its place with its number and spin, in millimetres."""
 
 import dataclasses
+import functools
 import io
 from pathlib import Path
 
@@ -20,6 +21,11 @@ def drawn(aircraft: Aircraft) -> Figure:
     return draw_aircraft(aircraft, examine(aircraft)[0])
 
 
+@functools.cache
+def drawn_shipped(name: str) -> Figure:
+    return drawn(load_aircraft(name))
+
+
 def words(figure: Figure) -> str:
     inside = [text.get_text() for axes in figure.axes for text in axes.texts]
     return "\n".join(inside + [text.get_text() for text in figure.texts])
@@ -27,15 +33,14 @@ def words(figure: Figure) -> str:
 
 @pytest.mark.parametrize("name", shipped())
 def test_numbers_stand_at_their_hubs_when_seen_from_above(name: str) -> None:
-    aircraft = load_aircraft(name)
-    above = drawn(aircraft).axes[0]
+    aircraft, above = load_aircraft(name), drawn_shipped(name).axes[0]
     places = {text.get_text(): text.get_position() for text in above.texts}
     for number, rotor in enumerate(aircraft.rotors, start=1):
         assert places[str(number)] == pytest.approx((1000 * rotor.position[1], 1000 * rotor.position[0]))
 
 
 def test_forward_is_up_and_left_is_left_when_on_the_page() -> None:
-    above, behind = drawn(load_aircraft("nf1")).axes
+    above, behind = drawn_shipped("nf1").axes
     for view in (above, behind):
         origin, left, up = view.transData.transform([(0, 0), (100, 0), (0, 100)])
         assert left[0] < origin[0] and left[1] == pytest.approx(origin[1])
@@ -49,9 +54,7 @@ def test_forward_is_up_and_left_is_left_when_on_the_page() -> None:
 
 
 def test_arrows_turn_with_the_propellers_when_seen_from_above() -> None:
-    aircraft = load_aircraft("nf1")
-    figure = drawn(aircraft)
-    above = figure.axes[0]
+    above = drawn_shipped("nf1").axes[0]
     arrows = [
         patch
         for patch in above.patches
@@ -63,33 +66,31 @@ def test_arrows_turn_with_the_propellers_when_seen_from_above() -> None:
         points = above.transData.transform(arrow._path_original.vertices)  # type: ignore[attr-defined]
         x, y = (points - points.mean(axis=0)).T
         turns.append(np.sign(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])))  # on the page, + counter-clockwise
-    assert turns == aircraft.spins.tolist()
+    assert turns == load_aircraft("nf1").spins.tolist()
 
 
 def test_discs_have_the_propellers_size_when_it_is_known() -> None:
-    def radii(aircraft: Aircraft) -> set[float]:
-        patches = drawn(aircraft).axes[0].patches
-        return {round(p.get_radius(), 2) for p in patches if isinstance(p, Circle)}
+    def radii(figure: Figure) -> set[float]:
+        return {round(p.get_radius(), 2) for p in figure.axes[0].patches if isinstance(p, Circle)}
 
     nf1 = load_aircraft("nf1")
-    assert 64.77 in radii(nf1)
-    unknown = dataclasses.replace(
-        nf1, propulsion=dataclasses.replace(nf1.propulsion, propeller_diameter=None)
-    )
+    assert 64.77 in radii(drawn_shipped("nf1"))
+    of_none = dataclasses.replace(nf1.propulsion, propeller_diameter=None)
+    unknown = drawn(dataclasses.replace(nf1, propulsion=of_none))
     assert 64.77 not in radii(unknown)
-    legend = drawn(unknown).legends[0]
-    assert "diameter not given" in " ".join(text.get_text() for text in legend.get_texts())
+    texts = unknown.legends[0].get_texts()
+    assert "diameter not given" in " ".join(text.get_text() for text in texts)
 
 
 def test_figures_stand_beside_the_views_when_the_aircraft_hovers() -> None:
-    text = words(drawn(load_aircraft("nf1")))
+    text = words(drawn_shipped("nf1"))
     for expected in ("nf1", "0.391 kg", "213 mm", "6.69", "27 %", "9,658 rpm", "3.2 A", "21 min", "50 mm"):
         assert expected in text
 
 
 @pytest.mark.parametrize("name", shipped())
 def test_nothing_is_cut_off_or_overlaps_when_rendered(name: str) -> None:
-    figure = drawn(load_aircraft(name))
+    figure = drawn_shipped(name)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     renderer = canvas.get_renderer()  # type: ignore[no-untyped-call]

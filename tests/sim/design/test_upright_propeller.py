@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from pathlib import Path
@@ -9,59 +10,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import rotation_angles, rotation_matrix
 from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
 from neuroflight.sim.design.airworthiness import Level, examine
+from tests.sampling import examples, sampled
 
-Array = NDArray[np.float64]
 RADIUS = 0.063  # [m], of a propeller of 5 inches
-SECTIONS = 24  # along a blade
+SECTIONS = 12  # along a blade
 
 
 def propeller(blades: int, *, hub: float = 0.006, pitch: float = 0.109) -> trimesh.Trimesh:
-    """Return one closed surface in metres: blades with a constant pitch around a hub, z along the shaft.
+    """Return blades with a constant pitch around a hub, in metres, z along the shaft.
 
-    Each blade is a plate 10 mm deep and 1.2 mm thick whose angle falls with the radius as pitch / (2 pi r)
-    does; the middle is as tall as a hub.
+    Each blade is made of plates 10 mm deep and 1.2 mm thick whose angle falls with the radius as
+    pitch / (2 pi r) does; the hub is a cylinder.
     """
-    turns = [2 * math.pi * blade / blades for blade in range(blades)]
-    corners: list[Array] = []
-    faces: list[tuple[int, int, int]] = []
-    rings: list[list[int]] = []
-    for turn in turns:
-        out = np.array([math.cos(turn), math.sin(turn), 0.0])
-        across = np.array([-math.sin(turn), math.cos(turn), 0.0])
-        before: list[int] = []
-        for k in range(SECTIONS + 1):
-            r = 0.008 + (RADIUS - 0.008) * k / SECTIONS
-            angle = math.atan2(pitch, 2 * math.pi * r) if k else 0.0
-            chord = across * math.cos(angle) + np.array([0.0, 0.0, math.sin(angle)])
-            thick = np.cross(out, chord)
-            half, depth = (0.0006, 0.005) if k else (hub / 2, 0.004)
-            ring = [len(corners) + i for i in range(4)]
-            corners += [r * out + a * chord + b * thick for a, b in
-                        ((-depth, -half), (depth, -half), (depth, half), (-depth, half))]  # fmt: skip
-            if before:
-                for i in range(4):
-                    a, b = before[i], before[(i + 1) % 4]
-                    c, d = ring[(i + 1) % 4], ring[i]
-                    faces += [(a, b, c), (a, c, d)]
-            else:
-                rings.append(ring)
-            before = ring
-        faces += [(before[0], before[1], before[2]), (before[0], before[2], before[3])]
-    low, high = len(corners), len(corners) + 1
-    corners += [np.array([0.0, 0.0, -hub / 2]), np.array([0.0, 0.0, hub / 2])]
-    for number, ring in enumerate(rings):  # the hub: a prism between the roots
-        after = rings[(number + 1) % blades]
-        faces += [(low, ring[1], ring[0]), (high, ring[3], ring[2])]
-        faces += [(low, after[0], ring[1]), (high, ring[2], after[3])]
-        faces += [(ring[1], after[0], after[3]), (ring[1], after[3], ring[2])]
-    mesh = trimesh.Trimesh(np.array(corners), np.array(faces))
-    mesh.fix_normals()
-    assert mesh.is_watertight
+    solids, length = [trimesh.creation.cylinder(0.008, hub)], (RADIUS - 0.008) / SECTIONS
+    for blade, k in itertools.product(range(blades), range(SECTIONS)):
+        plate, r = trimesh.creation.box((length, 0.010, 0.0012)), 0.008 + (k + 0.5) * length
+        plate.vertices = plate.vertices @ rotation_matrix((math.atan2(pitch, 2 * math.pi * r), 0.0, 0.0)).T
+        plate.vertices[:, 0] += r
+        plate.vertices = plate.vertices @ rotation_matrix((0.0, 0.0, 2 * math.pi * blade / blades)).T
+        solids.append(plate)
+    mesh = trimesh.util.concatenate(solids)
+    assert isinstance(mesh, trimesh.Trimesh) and mesh.is_watertight
     return mesh
 
 
@@ -85,12 +58,13 @@ def warnings(path: Path) -> list[str]:
     return [one.message for one in verdicts if one.level is Level.WARNING and "propeller_part" in one.message]
 
 
-@pytest.mark.parametrize("blades", [2, 3, 4, 5])
-@pytest.mark.parametrize("hub", [0.003, 0.012])
-@pytest.mark.parametrize("pitch", [0.06, 0.109, 0.127])
-def test_a_propeller_that_lies_flat_is_no_matter(
-    tmp_path: Path, blades: int, hub: float, pitch: float
-) -> None:
+FLAT = itertools.product((2, 3, 4, 5), (0.003, 0.012), (0.06, 0.109, 0.127))  # blades, hub and pitch [m]
+EDGES = [(2, 0.003, 0.127), (3, 0.012, 0.109), (4, 0.003, 0.06), (5, 0.012, 0.127)]
+
+
+@pytest.mark.parametrize("shape", sampled(FLAT, *EDGES))
+def test_a_propeller_that_lies_flat_is_no_matter(tmp_path: Path, shape: tuple[int, float, float]) -> None:
+    blades, hub, pitch = shape
     assert warnings(aircraft_of(tmp_path, propeller(blades, hub=hub, pitch=pitch))) == []
 
 
@@ -122,7 +96,7 @@ def test_a_mend_takes_up_the_rotation_that_a_file_has(tmp_path: Path) -> None:
     """Draw random poses: the suggested line lays the propeller flat, whatever rotation the file has."""
     rng = np.random.default_rng(2)
     mesh = propeller(3)
-    for _ in range(20):
+    for _ in range(examples(40)):
         angles = ", ".join(f"{angle:.1f}" for angle in rng.uniform(-180.0, 180.0, 3))
         told = warnings(aircraft_of(tmp_path, mesh, f"mesh_rotation_deg = [{angles}]\n"))
         if told:
@@ -159,7 +133,7 @@ def test_moments_and_boxes_in_the_wrong_order_are_seen(tmp_path: Path) -> None:
 def test_angles_give_back_the_matrix_they_are_of() -> None:
     rng = np.random.default_rng(3)
     right = [-math.pi, -math.pi / 2, 0.0, math.pi / 2, math.pi]
-    for number in range(600):
+    for number in range(examples(800)):
         angles = rng.choice(right, 3) if number % 2 else rng.uniform(-7.0, 7.0, 3)
         turn = rotation_matrix((float(angles[0]), float(angles[1]), float(angles[2])))
         assert rotation_matrix(rotation_angles(turn)) == pytest.approx(turn, abs=1e-7)

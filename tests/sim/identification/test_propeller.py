@@ -102,17 +102,6 @@ def test_a_damaged_table_is_one_line_with_its_place(tmp_path: Path, text: str, m
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
 
 
-def test_a_file_that_is_no_table_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DynoError, match="no such file"):
-        read_tables([tmp_path / "none.csv"])
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00" * 9)
-    with pytest.raises(DynoError, match="not a text file"):
-        read_tables([tmp_path / "binary.csv"])
-    (tmp_path / "large.csv").write_bytes(b"0" * ((1 << 20) + 1))
-    with pytest.raises(DynoError, match="expected at most 1048576"):
-        read_tables([tmp_path / "large.csv"])
-
-
 def test_measurements_that_show_no_curve_are_refused() -> None:
     few = Measurements(np.array([0.1, 0.1, 0.3]), np.full(3, 0.1), np.full(3, 0.01))
     with pytest.raises(DynoError, match="2 different advance ratios with thrust, expected at least 3"):

@@ -20,9 +20,9 @@ from neuroflight.sim.blackbox.flight import Part
 from neuroflight.sim.identification.recording import EXPLORER_LOST, Choice, read_recording
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import TraceError
+from tests.sampling import examples
 from tests.sim.blackbox.writer import END, PRODUCT, Column, fields, flight, header
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 COUNT = 1200
 COLUMNS = [Column(f"gyroADC[{axis}]") for axis in range(3)] + [
@@ -202,7 +202,9 @@ def test_a_swing_in_a_log_tells_the_moment(tmp_path: Path, capsys: pytest.Captur
     assert found["amplitude_deg"] == pytest.approx(4.0, rel=0.02)
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(200), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_every_scale_in_every_form_is_that_of_the_log(tmp_path: Path, data: st.DataObject) -> None:
     draw = data.draw

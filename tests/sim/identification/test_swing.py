@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.recording import Recording
 from neuroflight.sim.identification.swing import bifilar_stiffness, find_swing, moment, reference_stiffness
 from neuroflight.sim.physics.imu import quantised_rate
@@ -15,7 +15,6 @@ from neuroflight.sim.physics.world import Mount, World
 from neuroflight.toolchain.contract import AXES, GRAVITY
 from neuroflight.toolchain.errors import TraceError
 
-Array = NDArray[np.float64]
 MASS, DISTANCE, LENGTH = 0.391, 0.15, 1.0
 INERTIA, DAMPING = 1.5e-3, 2e-5  # [kg m^2], [N m s/rad]
 RATE_HZ = 500.0

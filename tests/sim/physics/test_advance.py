@@ -10,6 +10,7 @@ from neuroflight.sim.flight.motion import Motion
 from neuroflight.sim.physics.rotor import advance_factors, rotor_geometry, rotor_wrench
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.physics.world import Mount
+from tests.sim.physics.flying import repeat
 
 TEXT = (FOLDER / "nf1.toml").read_text()
 POLYNOMIAL = TEXT.replace("= 9.37e-7 ", "= [9.4e-7, -1e-12] ")
@@ -100,12 +101,10 @@ def flown(of: Aircraft, mount: Mount) -> list[np.ndarray]:
     rng, rows = np.random.default_rng(5), []
     for _ in range(40):
         commands = rng.uniform(0.0, 1.0, (3, 4))
-        for _ in range(5):
-            twin.step(commands)
+        repeat(5, twin.step, commands)
         told = twin.telemetry
         rows += [twin.rate, twin.velocity, twin.rotation, twin.gyro, twin.specific_force, twin.rotor_speed]
         rows += [told.force, told.torque, told.current, twin.draw.power, twin.pack_voltage]
-    twin.close()
     return rows
 
 
@@ -122,8 +121,7 @@ def test_the_twin_moves_by_the_thrust_and_pays_for_the_torque_that_it_tells() ->
     of = replace(REAL, body=None)
     twin = Twin(of, mount=Mount.FREE, noise=False, wash=False, rng=np.random.default_rng(1))
     motion = Motion(twin)
-    for _ in range(1000):
-        twin.step(np.full((1, 4), 0.6))
+    repeat(1000, twin.step, np.full((1, 4), 0.6))
     motion()
     told = twin.telemetry
     assert twin.velocity[0, 2] > 5.0
@@ -136,20 +134,16 @@ def test_the_twin_moves_by_the_thrust_and_pays_for_the_torque_that_it_tells() ->
     assert twin.draw.power[0] == pytest.approx(shaft / of.propulsion.efficiency + electronics, rel=1e-3)
     twin.reset()
     assert (twin.live.thrust_factor == 1.0).all()
-    twin.close()
 
 
 def test_a_held_aircraft_feels_its_rotation_alone() -> None:
     twin = Twin(REAL, mount=Mount.CENTRE, noise=False, rng=np.random.default_rng(1))
-    for _ in range(300):
-        twin.step(np.array([[0.5, 0.5, 0.5, 0.5]]))
+    repeat(300, twin.step, np.array([[0.5, 0.5, 0.5, 0.5]]))
     assert (twin.live.thrust_factor == 1.0).all()
-    for _ in range(60):
-        twin.step(np.array([[0.3, 0.3, 0.5, 0.5]]))
+    repeat(60, twin.step, np.array([[0.3, 0.3, 0.5, 0.5]]))
     assert twin.rate[0, 0] > 1.0
     factor = twin.live.thrust_factor[0]
     assert (factor[2:] < 1.0).all() and (factor[:2] == 1.0).all()
-    twin.close()
 
 
 def upright(of: Aircraft) -> Aircraft:
@@ -165,8 +159,7 @@ def upright(of: Aircraft) -> Aircraft:
 def test_a_punch_out_ends_where_thrust_left_weight_and_drag_balance(slope: float) -> None:
     of = upright(aircraft(f"[{slope}, 0]")) if slope else upright(PLAIN)
     twin = Twin(of, mount=Mount.FREE, noise=False, wash=False, rng=np.random.default_rng(1))
-    for _ in range(6000):
-        twin.step(np.ones((1, 4)))
+    repeat(6000, twin.step, np.ones((1, 4)))
     # Full speed is 24,983 rpm = 2616.21 rad/s: 25.6536 N at rest; J = v / 53.9389 m/s; drag area 0.017 m^2.
     thrust, drag = 25.6536, 0.5 * 1.225 * 0.017
     weight = of.mass_properties.mass * 9.80665
@@ -175,7 +168,6 @@ def test_a_punch_out_ends_where_thrust_left_weight_and_drag_balance(slope: float
     assert twin.velocity[0, 2] == pytest.approx(terminal, rel=2e-3)
     assert twin.rotation[0, 2, 2] > 0.9999
     assert terminal == pytest.approx(28.2 if slope else 45.4, abs=0.8)
-    twin.close()
 
 
 def test_a_rotor_gains_thrust_as_it_sinks_down_to_the_least_ratio() -> None:

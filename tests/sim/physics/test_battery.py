@@ -8,6 +8,7 @@ import pytest
 
 from neuroflight.sim.aircraft.model import Battery
 from neuroflight.sim.physics.battery import BatteryState, loaded_voltage, open_circuit_voltage
+from tests.sim.physics.flying import repeat
 
 PACK = Battery(cells=4, capacity=3600 * 1.5, rest_voltage=16.78, resistance=0.05, electronics_power=6.21)
 DT = 1e-3
@@ -76,8 +77,7 @@ def test_discharge_follows_the_closed_form_when_power_is_constant() -> None:
     charge = 0.1 * PACK.capacity
     seconds = 0.5 * (high + low) * charge / 500.0
     steps = 10_000
-    for _ in range(steps):
-        packs.step(np.full(2, 500.0), seconds / steps)
+    repeat(steps, packs.step, np.full(2, 500.0), seconds / steps)
     # The step of an explicit rule sees the voltage at its start: at most the curve's fall over one step.
     assert packs.state_of_charge == pytest.approx([0.8] * 2, abs=0.1 * (high / low - 1) / steps)
 
@@ -102,8 +102,7 @@ def test_energy_balances_when_flown_from_full_to_empty() -> None:
 
 def test_nothing_is_left_when_drawn_beyond_empty() -> None:
     packs = state(charge=0.0)
-    for _ in range(400):
-        packs.step(np.full(2, 300.0), 0.1)
+    repeat(400, packs.step, np.full(2, 300.0), 0.1)
     assert packs.voltage[:, 0] == pytest.approx([0.0, 0.0], abs=1e-6)
     assert packs.current == pytest.approx([0.0, 0.0], abs=1e-6)
     assert packs.charge == pytest.approx([1.02 * PACK.capacity] * 2)
@@ -111,8 +110,7 @@ def test_nothing_is_left_when_drawn_beyond_empty() -> None:
 
 def test_nothing_breaks_when_an_ideal_pack_is_drawn_beyond_empty() -> None:
     packs = state(replace(PACK, resistance=0.0), charge=0.0)
-    for _ in range(400):
-        packs.step(np.full(2, 300.0), 0.1)
+    repeat(400, packs.step, np.full(2, 300.0), 0.1)
     assert np.isfinite(packs.charge).all()
     assert packs.voltage[:, 0].tolist() == [0.0, 0.0]
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Accelerometer, Gyro, load_aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.imu import AccelerometerModel, GyroModel, counts, draw_bias, quantised_rate
 
 NF1 = load_aircraft("nf1")
@@ -25,7 +25,7 @@ def gyro(settings: Gyro, count: int = 2, dt: float = 1e-3, seed: int = 0) -> Gyr
     return model
 
 
-def read(model: GyroModel, rate: NDArray[np.float64]) -> NDArray[np.float64]:
+def read(model: GyroModel, rate: Array) -> Array:
     return model.measure(rate, None, np.full((len(rate), 4), 1000.0))
 
 

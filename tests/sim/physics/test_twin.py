@@ -12,6 +12,7 @@ from neuroflight.sim.physics.variation import Variation
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import AircraftError
+from tests.sim.physics.flying import repeat
 
 BODY = Body(size=(0.2, 0.16, 0.06), centre=(0.0, 0.0, 0.03), drag_area=(0.01, 0.01, 0.02))
 PACK = Battery(cells=4, capacity=5580.0, rest_voltage=16.78, resistance=0.03, electronics_power=6.0)
@@ -30,8 +31,6 @@ def test_a_command_acts_after_the_delay_at_any_rate(rate_hz: int, samples: int) 
         asked.step(np.ones((1, 4)))
         left.step(np.zeros((1, 4)))
         differs.append(bool(asked.rotor_speed[0, 0] > left.rotor_speed[0, 0]))
-    asked.close()
-    left.close()
     assert differs == [False] * samples + [True]
 
 
@@ -42,24 +41,8 @@ def test_a_command_acts_from_the_next_sample_when_there_is_no_delay() -> None:
     at_once = aircraft.rotor_speed[0, 0]
     aircraft.step(np.ones((1, 4)))
     later = aircraft.rotor_speed[0, 0]
-    aircraft.close()
     assert at_once <= NF1.propulsion.speed_curve[2]
     assert later > 10.0
-
-
-@pytest.mark.parametrize("mount", list(Mount))
-def test_the_same_seed_repeats_a_run_exactly(mount: Mount) -> None:
-    runs = []
-    for seed in (7, 7, 8):
-        aircraft = twin(3, seed, mount=mount)
-        commands = np.random.default_rng(0).uniform(0, 1, (50, 3, 4))
-        for command in commands:
-            aircraft.step(command)
-        runs.append((aircraft.rate.copy(), aircraft.gyro.copy()))
-        aircraft.close()
-    assert np.array_equal(runs[0][0], runs[1][0])
-    assert np.array_equal(runs[0][1], runs[1][1])
-    assert not np.array_equal(runs[0][1], runs[2][1])
 
 
 @pytest.mark.parametrize("mount", list(Mount))
@@ -74,35 +57,14 @@ def test_each_motor_turns_the_aircraft_its_own_way(
     aircraft = twin(noise=False, wash=False, mount=mount)
     command = np.full((1, 4), 0.3)
     command[0, motor] = 0.4
-    for _ in range(60):
-        aircraft.step(command)
+    repeat(60, aircraft.step, command)
     turned = tuple(np.sign(aircraft.rate[0]).astype(int))
-    aircraft.close()
     assert turned == signs
-
-
-def test_hovers_at_the_analytic_throttle_when_free() -> None:
-    """Thrust of four rotors at speed H(u) equals the weight: the climb rate stays where it is."""
-    aircraft = twin(noise=False, mount=Mount.FREE)
-    weight = NF1.mass_properties.mass * 9.80665
-    speed = np.sqrt(weight / 4 / NF1.propulsion.thrust_coefficient[0])
-    a, b, c = NF1.propulsion.speed_curve
-    hover = (-b + np.sqrt(b * b - 4 * a * (c - speed))) / (2 * a)
-    for _ in range(600):
-        aircraft.step(np.full((1, 4), hover))
-    climb = aircraft.velocity[0, 2]
-    for _ in range(200):
-        aircraft.step(np.full((1, 4), hover))
-    settled = aircraft.velocity[0, 2]
-    aircraft.close()
-    assert aircraft.rotor_speed[0] == pytest.approx([speed] * 4, rel=1e-3)
-    assert settled - climb == pytest.approx(0.0, abs=0.005 * 9.80665 * 0.2)
 
 
 def test_reset_makes_an_aircraft_new_and_leaves_the_others() -> None:
     aircraft = twin(2, noise=False)
-    for _ in range(100):
-        aircraft.step(np.array([[0.5, 0.2, 0.2, 0.2]] * 2))
+    repeat(100, aircraft.step, np.array([[0.5, 0.2, 0.2, 0.2]] * 2))
     other = aircraft.rate[1].copy()
     aircraft.reset(np.array([0]))
     assert aircraft.rate[0] == pytest.approx(np.zeros(3))
@@ -110,7 +72,6 @@ def test_reset_makes_an_aircraft_new_and_leaves_the_others() -> None:
     assert np.array_equal(aircraft.rate[1], other)
     aircraft.step(np.zeros((2, 4)))
     assert aircraft.rotor_speed[0].max() < 1.0  # no command from before the reset still under way
-    aircraft.close()
 
 
 @pytest.mark.parametrize(
@@ -122,7 +83,6 @@ def test_refuses_commands_that_are_no_fractions(motors: np.ndarray) -> None:
     aircraft = twin()
     with pytest.raises(ValueError, match="motor commands"):
         aircraft.step(motors)
-    aircraft.close()
 
 
 def test_refuses_a_step_when_it_is_closed() -> None:
@@ -139,17 +99,13 @@ def test_terminal_speed_thrust_and_yaw_torque_are_the_analytic_ones() -> None:
     held = Twin(slick, noise=False, rng=np.random.default_rng(0))
     loose = Twin(slick, noise=False, mount=Mount.FREE, gravity=False, rng=np.random.default_rng(0))
     command = np.array([[0.6, 0.4, 0.4, 0.6]])  # the clockwise pair is faster: yaw to the left, nothing else
-    for _ in range(800):
-        held.step(command)
-        loose.step(command)
+    repeat(800, held.step, command)
+    repeat(800, loose.step, command)
     rate, velocity = held.rate[0, 2], loose.velocity[0, 2]
-    for _ in range(10):
-        held.step(command)
-        loose.step(command)
+    repeat(10, held.step, command)
+    repeat(10, loose.step, command)
     gained, climbed = (held.rate[0, 2] - rate) / 0.010, (loose.velocity[0, 2] - velocity) / 0.010
     speed, force = held.rotor_speed[0].copy(), loose.specific_force[0, 2]
-    held.close()
-    loose.close()
     a, b, c = propulsion.speed_curve
     speeds = (a * command[0] + b) * command[0] + c
     thrusts = propulsion.thrust_coefficient[0] * speeds**2
@@ -165,11 +121,9 @@ def test_battery_sags_under_load_and_empties_as_power_says() -> None:
     pack = NF1.battery
     assert pack is not None
     rest = sagging.telemetry.voltage[0]
-    for _ in range(1000):
-        sagging.step(np.full((1, 4), 0.8))
+    repeat(1000, sagging.step, np.full((1, 4), 0.8))
     report, speed = sagging.telemetry, sagging.rotor_speed.copy()
     settled = target_speed(np.array([[0.8]]), NF1.propulsion, report.voltage[:, None])
-    sagging.close()
     torque = thrust_and_torque(speed, NF1.propulsion)[1]
     power = (speed * torque).sum() / NF1.propulsion.efficiency + pack.electronics_power
     step = NF1.esc.current_step / 2 + 0.01 * power / report.voltage[0]
@@ -187,12 +141,10 @@ def test_draw_on_the_bench_is_the_rotors_power_and_more_while_they_speed_up() ->
         before = bench.rotor_speed
         bench.step(np.full((1, 4), 0.6))
     early, speed = bench.draw, bench.rotor_speed
-    for _ in range(1500):
-        bench.step(np.full((1, 4), 0.6))
+    repeat(1500, bench.step, np.full((1, 4), 0.6))
     late, settled = bench.draw, bench.rotor_speed
     bench.reset()
     again = bench.draw
-    bench.close()
     propulsion, idle = NF1.propulsion, PACK.electronics_power
     gained = propulsion.rotor_inertia * (speed - before) * 1000.0
     shaft = (speed * (thrust_and_torque(speed, propulsion)[1] + gained)).sum()
@@ -206,23 +158,19 @@ def test_draw_on_the_bench_is_the_rotors_power_and_more_while_they_speed_up() ->
 
 def test_draw_of_a_battery_is_what_it_gave_with_its_voltage() -> None:
     flying = twin(charge=0.8, noise=False)
-    for _ in range(200):
-        flying.step(np.full((1, 4), 0.5))
+    repeat(200, flying.step, np.full((1, 4), 0.5))
     drawn, packs = flying.draw, flying.battery
     assert packs is not None
     assert drawn.current[0] == packs.current[0]
     assert drawn.voltage[0] == flying.pack_voltage[0]
     assert drawn.power[0] == pytest.approx(drawn.voltage[0] * drawn.current[0])
-    flying.close()
 
 
 def test_telemetry_tells_the_thrust_that_lifts_the_aircraft_and_the_torque_that_is_paid_for() -> None:
     weak = replace(Variation.nominal(2, NF1.propulsion.delay), thrust=np.array([1.0, 0.8]))
     pair = twin(2, noise=False, mount=Mount.CENTRE, variation=weak)
-    for _ in range(500):
-        pair.step(np.full((2, 4), 0.5))
+    repeat(500, pair.step, np.full((2, 4), 0.5))
     report, felt, drawn, speed = pair.telemetry, pair.specific_force[:, 2], pair.draw, pair.rotor_speed
-    pair.close()
     assert report.force.shape == report.torque.shape == (2, 4)
     # Held at the centre the aircraft feels its rotors alone.
     assert report.force.sum(axis=1) == pytest.approx(felt * NF1.mass_properties.mass)
@@ -237,9 +185,8 @@ def test_windings_heat_up_to_what_their_current_sustains_and_cool_down() -> None
     hot = replace(NF1, esc=replace(NF1.esc, thermal=thermal))
     motors, known = Twin(hot, noise=False, rng=np.random.default_rng(1)), twin(noise=False)
     assert motors.telemetry.temperature.tolist() == [[25.0] * 4]
-    for _ in range(1500):
-        motors.step(np.array([[0.2, 0.6, 0.6, 0.2]]))
-        known.step(np.array([[0.2, 0.6, 0.6, 0.2]]))
+    repeat(1500, motors.step, np.array([[0.2, 0.6, 0.6, 0.2]]))
+    repeat(1500, known.step, np.array([[0.2, 0.6, 0.6, 0.2]]))
     report, drawn = motors.telemetry, motors.draw
     assert np.array_equal(report.speed, known.telemetry.speed) and np.array_equal(motors.rate, known.rate)
     assert np.isnan(known.telemetry.temperature).all(), "without constants no temperature is known"
@@ -248,41 +195,24 @@ def test_windings_heat_up_to_what_their_current_sustains_and_cool_down() -> None
     assert current.sum() == pytest.approx(drawn.current[0] - electronics, rel=1e-3)
     assert current[0] == pytest.approx(current[3]) and current[1] == pytest.approx(current[2])
     assert current[1] > 5 * current[0], "power goes with the third power of speed"
-    for _ in range(1500):
-        motors.step(np.zeros((1, 4)))
+    repeat(1500, motors.step, np.zeros((1, 4)))
     assert motors.telemetry.temperature == pytest.approx(np.full((1, 4), 25.0), abs=0.1)
     motors.reset()
     assert motors.telemetry.temperature.tolist() == [[25.0] * 4]
-    motors.close()
-    known.close()
 
 
 def test_rotors_that_brake_give_no_power_back() -> None:
     braking = twin(charge=1.0, noise=False)
-    for _ in range(500):
-        braking.step(np.full((1, 4), 0.8))
-    for _ in range(10):
-        braking.step(np.zeros((1, 4)))
+    repeat(500, braking.step, np.full((1, 4), 0.8))
+    repeat(10, braking.step, np.zeros((1, 4)))
     report = braking.telemetry
     speed = braking.rotor_speed[0].copy()
     braking.step(np.zeros((1, 4)))
     lost = speed - braking.rotor_speed[0]
     drawn = float(braking.telemetry.current[0])
-    braking.close()
     inertia, torque = NF1.propulsion.rotor_inertia, thrust_and_torque(speed, NF1.propulsion)[1]
     assert (inertia * lost * 1000 > torque).all(), "braking must take more than the air does"
     assert drawn * report.voltage[0] == pytest.approx(PACK.electronics_power, rel=0.02)
-
-
-def test_half_empty_battery_turns_rotors_slower_than_a_full_one() -> None:
-    speeds = []
-    for charge in (1.0, 0.2):
-        aircraft = twin(charge=charge, noise=False)
-        for _ in range(500):
-            aircraft.step(np.full((1, 4), 0.5))
-        speeds.append(aircraft.rotor_speed[0, 0])
-        aircraft.close()
-    assert speeds[1] < 0.95 * speeds[0]
 
 
 def test_loose_aircraft_drifts_with_the_wind_until_it_flies_as_fast() -> None:
@@ -293,13 +223,10 @@ def test_loose_aircraft_drifts_with_the_wind_until_it_flies_as_fast() -> None:
     )
     lag = []
     for _ in range(2):
-        for _ in range(4000):
-            blown.step(np.zeros((1, 4)))
-            still.step(np.zeros((1, 4)))
+        repeat(4000, blown.step, np.zeros((1, 4)))
+        repeat(4000, still.step, np.zeros((1, 4)))
         lag.append(float(np.linalg.norm(blown.velocity[0] - wind)))
     stayed = still.velocity[0].copy()
-    blown.close()
-    still.close()
     assert stayed == pytest.approx(np.zeros(3), abs=0.01)  # at command zero the curve still says 87 rpm
     assert lag[1] < lag[0] < np.linalg.norm(wind)
     assert lag[0] < 0.9 * np.linalg.norm(wind)
@@ -309,12 +236,9 @@ def test_gusts_shake_each_aircraft_its_own_way_and_leave_the_gyro_noise_alone() 
     gusty, calm = (twin(3, 4, mount=Mount.FREE, gust=g) for g in (15.0, 0.0))
     first = gusty.gyro.copy(), calm.gyro.copy()
     hover = np.full((3, 4), 0.25)
-    for _ in range(300):
-        gusty.step(hover)
-        calm.step(hover)
+    repeat(300, gusty.step, hover)
+    repeat(300, calm.step, hover)
     apart = gusty.velocity - calm.velocity
-    gusty.close()
-    calm.close()
     assert np.array_equal(*first)
     assert np.abs(apart).max(axis=1).min() > 1e-3
     assert np.abs(apart[0] - apart[1]).max() > 1e-3
@@ -327,8 +251,6 @@ def test_specific_force_is_what_an_accelerometer_feels() -> None:
         for aircraft in (falling, standing, swinging):
             aircraft.step(np.zeros((1, 4)))
     forces = [aircraft.accelerometer[0].copy() for aircraft in (falling, standing, swinging)]
-    for aircraft in (falling, standing, swinging):
-        aircraft.close()
     assert forces[0] == pytest.approx([0.0, 0.0, 0.27], abs=0.02)  # drag of 2.9 m/s: 0.10 N on 0.391 kg
     assert forces[1] == pytest.approx([0.0, 0.0, 9.80665], abs=0.02)
     assert forces[2] == pytest.approx([0.0, 0.0, 9.80665], abs=1e-3)
@@ -342,12 +264,10 @@ def test_a_held_accelerometer_feels_its_support_upwards_whatever_gravity_turns(
     aircraft = twin(2, noise=False, mount=mount, gravity=gravity)
     assert aircraft.accelerometer == pytest.approx(np.tile([0.0, 0.0, GRAVITY], (2, 1)))
     turning = np.array([[0.3, 0.3, 0.32, 0.32], [0.3, 0.32, 0.3, 0.32]])
-    for _ in range(400):
-        aircraft.step(turning)
+    repeat(400, aircraft.step, turning)
     felt, upwards = aircraft.accelerometer.copy(), aircraft.rotation[:, 2].copy()
     aircraft.reset(np.array([0]))
     again = aircraft.accelerometer.copy()
-    aircraft.close()
     assert np.degrees(np.arccos(upwards[:, 2])).min() > 20, "it must have turned"
     swinging = 0.0 if mount is Mount.CENTRE else 1.0  # [m/s^2], of the centre of mass below the rig's joint
     assert np.abs(felt - GRAVITY * upwards).max() <= swinging + 1e-12
@@ -358,10 +278,8 @@ def test_a_held_accelerometer_feels_its_support_upwards_whatever_gravity_turns(
 def test_a_free_accelerometer_feels_the_rotors_alone_when_gravity_is_off() -> None:
     drifting = twin(noise=False, mount=Mount.FREE, gravity=False)
     at_rest = drifting.accelerometer.copy()
-    for _ in range(500):
-        drifting.step(np.full((1, 4), 0.4))
+    repeat(500, drifting.step, np.full((1, 4), 0.4))
     felt, pushed = drifting.accelerometer.copy(), drifting.specific_force.copy()
-    drifting.close()
     assert not at_rest.any()
     assert np.array_equal(felt, pushed)
     assert felt[0, 2] > 1.0
@@ -372,25 +290,24 @@ def test_turning_on_the_rig_pulls_the_centre_of_mass_inwards() -> None:
     beside = replace(NF1, centre_of_thrust=(-0.03, 0.0, float(NF1.mass_properties.centre[2])))
     aircraft = Twin(beside, mount=Mount.RIG, noise=False, rng=np.random.default_rng(0))
     aircraft._world.reset([0], np.array([[0.0, 0.0, 10.0]]))
-    for _ in range(10):
-        aircraft.step(np.zeros((1, 4)))
+    repeat(10, aircraft.step, np.zeros((1, 4)))
     rate, force = aircraft.rate[0].copy(), aircraft.specific_force[0].copy()
-    aircraft.close()
     arm = float(NF1.mass_properties.centre[0]) + 0.03
     assert rate[2] == pytest.approx(10.0, abs=0.1)
     assert force[0] == pytest.approx(-(rate[2] ** 2) * arm, rel=0.01)
 
 
-def test_everything_on_repeats_exactly_for_a_seed() -> None:
+@pytest.mark.parametrize("mount", list(Mount))
+def test_everything_on_repeats_exactly_for_a_seed(mount: Mount) -> None:
+    air = {"ground": True, "wind": (3.0, 1.0, 0.0), "gust": 8.0} if mount is Mount.FREE else {}
     runs = []
     for seed in (3, 3, 4):
-        aircraft = twin(2, seed, mount=Mount.FREE, ground=True, charge=0.9, wind=(3.0, 1.0, 0.0), gust=8.0)
+        aircraft = twin(2, seed, mount=mount, charge=0.9, **air)
         for command in np.random.default_rng(0).uniform(0, 1, (200, 2, 4)):
             aircraft.step(command)
-        runs.append([aircraft.gyro.copy(), aircraft.accelerometer.copy(), aircraft.position.copy()])
-        aircraft.close()
+        runs.append([aircraft.gyro.copy(), aircraft.accelerometer.copy()])
     assert all(np.array_equal(a, b) for a, b in zip(runs[0], runs[1], strict=True))
-    assert not any(np.array_equal(a, b) for a, b in zip(runs[0], runs[2], strict=True))
+    assert not np.array_equal(runs[0][0], runs[2][0])
 
 
 def test_vibration_of_the_rotors_reaches_the_gyro() -> None:
@@ -402,7 +319,6 @@ def test_vibration_of_the_rotors_reaches_the_gyro() -> None:
         if step >= 6000:
             readings.append(aircraft.gyro[0] - aircraft.rate[0])
     speed = aircraft.rotor_speed[0, 0]
-    aircraft.close()
     shake = np.array(readings)
     spectrum = np.abs(np.fft.rfft(shake[:, 0]))
     loudest = np.fft.rfftfreq(len(shake), 1 / 8000)[spectrum.argmax()]
@@ -425,12 +341,10 @@ def test_an_aircraft_without_what_is_asked_for_is_refused() -> None:
 def test_reset_of_one_aircraft_leaves_the_sensors_of_the_others_where_they_are() -> None:
     slow = replace(NF1, gyro=replace(NF1.gyro, bandwidth_hz=20.0))
     aircraft = Twin(slow, 2, rng=np.random.default_rng(0))
-    for _ in range(20):
-        aircraft.step(np.array([[0.5, 0.2, 0.2, 0.2]] * 2))
+    repeat(20, aircraft.step, np.array([[0.5, 0.2, 0.2, 0.2]] * 2))
     before = aircraft.gyro.copy()
     aircraft.reset(np.array([0]))
     after = aircraft.gyro.copy()
-    aircraft.close()
     assert np.array_equal(after[1], before[1])
     assert not np.array_equal(after[0], before[0])
 
@@ -462,22 +376,9 @@ def test_one_aircraft_gets_the_bits_that_it_gets_among_others(mount: Mount, vari
         seen = (aircraft.rate, aircraft.rotation, aircraft.velocity, aircraft.position, aircraft.gyro)
         more = (aircraft.specific_force, aircraft.accelerometer, aircraft.rotor_speed)
         rows: np.ndarray = np.concatenate([each.reshape(len(each), -1) for each in (*seen, *more)], axis=1)
-        aircraft.close()
         return rows
 
     among = flown(slice(0, 5))
     assert np.abs(among[:, :3]).max() > 1.0, "they must have turned"
     for i in range(5):
         assert flown(slice(i, i + 1)).tobytes() == among[i : i + 1].tobytes()
-
-
-def test_readings_are_numpys_own_random_numbers() -> None:
-    """Noise of a twin held still: the generator's bias, then one draw of (N, 3) a sample."""
-    aircraft = twin(3, seed=6)
-    rng = np.random.default_rng(6)
-    rng.spawn(1)
-    bias = rng.normal(0.0, NF1.gyro.bias, (3, 3))
-    for _ in range(4):
-        assert np.array_equal(aircraft.gyro, bias + rng.standard_normal((3, 3)) * np.array(NF1.gyro.noise))
-        aircraft.measure()
-    aircraft.close()

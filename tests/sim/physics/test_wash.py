@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
 from neuroflight.sim.analysis.manoeuvre import shake
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.control.motors import motor_commands
 from neuroflight.sim.control.pid import aircraft_pid
 from neuroflight.sim.control.pid_table import pid_settings
@@ -23,8 +23,8 @@ from neuroflight.sim.physics.library import library, pointer
 from neuroflight.sim.physics.rotor import propulsion_struct, target_speed, thrust_and_torque
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.physics.world import Mount
+from tests.sim.physics.flying import repeat
 
-Array = NDArray[np.float64]
 NF1 = load_aircraft("nf1")
 COUNT = 500
 THRUST = 1.2  # [N] of each rotor
@@ -107,8 +107,7 @@ def flown(seed: int = 1, mount: Mount = Mount.FREE, *, wash: bool, gravity: bool
     rng = np.random.default_rng(seed)
     twin = Twin(NF1, mount=mount, gravity=gravity, noise=False, wash=wash, rng=rng)
     with closing(twin):
-        for _ in range(1000):
-            twin.step(np.full((1, 4), command))
+        repeat(1000, twin.step, np.full((1, 4), command))
         return np.concatenate([twin.rate[0], twin.velocity[0]])
 
 

@@ -1,6 +1,5 @@
 """The pybullet world against the rigid-body equations."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,26 +11,16 @@ from neuroflight.sim.aircraft.model import Body, load_aircraft
 from neuroflight.sim.physics.world import COUNT_MAX, Mount, World
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import AircraftError
+from tests.sim.physics.flying import repeat
 
 NF1 = load_aircraft("nf1")
 MASS, INERTIA = NF1.mass_properties.mass, NF1.mass_properties.inertia
 ARM = NF1.mass_properties.centre - np.array(NF1.centre_of_thrust)  # pivot to centre of mass
 RIG_INERTIA = INERTIA + MASS * (ARM @ ARM * np.eye(3) - np.outer(ARM, ARM))
 
-Build = Callable[..., World]
 
-
-@pytest.fixture
-def build() -> Iterator[Build]:
-    worlds = []
-
-    def make(count: int, mount: Mount, gravity: bool = False, dt: float = 0.001) -> World:
-        worlds.append(World(NF1, count, dt, mount, gravity))
-        return worlds[-1]
-
-    yield make
-    for world in worlds:
-        world.close()
+def build(count: int, mount: Mount, gravity: bool = False, dt: float = 0.001) -> World:
+    return World(NF1, count, dt, mount, gravity)
 
 
 def moment(x: float, y: float, z: float, count: int = 1) -> np.ndarray:
@@ -42,26 +31,24 @@ def moment(x: float, y: float, z: float, count: int = 1) -> np.ndarray:
 
 @pytest.mark.parametrize("mount", list(Mount))
 @pytest.mark.parametrize("axis", range(3))
-def test_a_moment_accelerates_its_own_axis_by_the_inertia(build: Build, mount: Mount, axis: int) -> None:
+def test_a_moment_accelerates_its_own_axis_by_the_inertia(mount: Mount, axis: int) -> None:
     world = build(1, mount)
     inertia = RIG_INERTIA if mount is Mount.RIG else INERTIA
     push = np.zeros(3)
     push[axis] = 1e-3
-    for _ in range(100):
-        world.step(moment(*push))
+    repeat(100, world.step, moment(*push))
     expected = np.zeros(3)
     expected[axis] = 0.1 * 1e-3 / inertia[axis, axis]
     assert world.rate[0] == pytest.approx(expected, rel=1e-4, abs=1e-4)
 
 
-def test_rates_stay_body_rates_when_turned_about_a_tilted_axis(build: Build) -> None:
+def test_rates_stay_body_rates_when_turned_about_a_tilted_axis() -> None:
     """A body moment keeps its axis when the body turns: yaw while rolled by a quarter turn."""
     world = build(1, Mount.CENTRE)
     while world.rotation[0, 2, 2] > 0.0:  # rolls until body z is level
         world.step(moment(5e-3, 0.0, 0.0))
     spin = world.rate[0, 0]
-    for _ in range(20):
-        world.step(moment(0.0, 0.0, 5e-3))
+    repeat(20, world.step, moment(0.0, 0.0, 5e-3))
     assert world.rate[0, 2] == pytest.approx(0.020 * 5e-3 / INERTIA[2, 2], rel=0.02)
     assert world.rate[0, 0] == pytest.approx(spin, rel=0.01)
 
@@ -96,7 +83,7 @@ def pybullet_rate(world: World) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mount", list(Mount))
-def test_momentum_and_energy_are_kept_when_tumbling_for_ten_seconds(build: Build, mount: Mount) -> None:
+def test_momentum_and_energy_are_kept_when_tumbling_for_ten_seconds(mount: Mount) -> None:
     inertia = RIG_INERTIA if mount is Mount.RIG else INERTIA
     momentum, energy, apart = tumbling(build(1, mount), inertia, 10.0, 0.001)
     assert momentum < 1e-12
@@ -106,9 +93,7 @@ def test_momentum_and_energy_are_kept_when_tumbling_for_ten_seconds(build: Build
 
 
 @pytest.mark.parametrize("mount", [Mount.CENTRE, Mount.FREE])
-def test_pybullet_turns_the_body_as_its_momentum_says_after_an_error_of_the_rate(
-    build: Build, mount: Mount
-) -> None:
+def test_pybullet_turns_the_body_as_its_momentum_says_after_an_error_of_the_rate(mount: Mount) -> None:
     """Rounding of the rate that pybullet keeps grows tenfold in half a minute: here it has grown to 1e-3."""
     world, rng = build(1, mount), np.random.default_rng(5)
     for step in range(2000):
@@ -132,37 +117,12 @@ def test_lopsided_aircraft_keeps_momentum_too() -> None:
     for mount in Mount:
         world = World(lopsided, 1, 0.001, mount, False)
         moved = tumbling(world, about_joint if mount is Mount.RIG else inertia, 2.0, 0.001)
-        world.close()
         assert moved[0] < 1e-12
         assert moved[1] < 1e-5
         assert moved[2] < 0.1
 
 
-def test_bare_pybullet_loses_what_the_world_keeps() -> None:
-    """The same body in pybullet alone: two hundredths of its momentum in ten seconds."""
-    client = pybullet.connect(pybullet.DIRECT)
-    moments, axes = np.linalg.eigh(INERTIA)
-    body = pybullet.createMultiBody(baseMass=MASS, physicsClientId=client)
-    pybullet.setTimeStep(0.001, client)
-    pybullet.changeDynamics(
-        body,
-        -1,
-        localInertiaDiagonal=moments.tolist(),
-        linearDamping=0.0,
-        angularDamping=0.0,
-        physicsClientId=client,
-    )
-    start = 11.6 * np.array([1.0, 2.0, 1.0]) / np.sqrt(6.0) @ axes
-    pybullet.resetBaseVelocity(body, [0.0, 0.0, 0.0], start.tolist(), client)
-    for _ in range(10_000):
-        pybullet.stepSimulation(client)
-    pose = pybullet.getMatrixFromQuaternion(pybullet.getBasePositionAndOrientation(body, client)[1])
-    rate = np.array(pybullet.getBaseVelocity(body, client)[1]) @ np.array(pose).reshape(3, 3)
-    pybullet.disconnect(client)
-    assert abs(np.linalg.norm(moments * rate) / np.linalg.norm(moments * start) - 1) > 0.01
-
-
-def test_error_falls_with_the_square_of_the_step_when_a_moment_acts(build: Build) -> None:
+def test_error_falls_with_the_square_of_the_step_when_a_moment_acts() -> None:
     """A moment about all axes of a turning body, against Euler's equations integrated finely."""
     push, start = np.array([0.004, -0.003, 0.002]), np.array([3.0, -4.0, 8.0])
     exact = solve_ivp(
@@ -176,8 +136,7 @@ def test_error_falls_with_the_square_of_the_step_when_a_moment_acts(build: Build
     for dt in (0.001, 0.0005):
         world = build(1, Mount.CENTRE, dt=dt)
         world.reset([0], start[None])
-        for _ in range(round(1.0 / dt)):
-            world.step(moment(*push))
+        repeat(round(1.0 / dt), world.step, moment(*push))
         errors.append(np.linalg.norm(world.rate[0] - exact))
     assert errors[0] < 1e-3  # of 10 rad/s
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
@@ -192,18 +151,15 @@ def test_rig_and_free_flight_turn_alike_when_the_joint_is_the_centre_of_mass() -
         for world in worlds:
             world.step(wrench)
     rates, attitudes = [[getattr(w, name)[0] for w in worlds] for name in ("rate", "rotation")]
-    for world in worlds:
-        world.close()
     assert np.linalg.norm(rates[0]) > 0.3
     for rate, attitude in zip(rates[1:], attitudes[1:], strict=True):
         assert rate == pytest.approx(rates[0], abs=1e-9)
         assert attitude == pytest.approx(attitudes[0], abs=1e-9)
 
 
-def test_pendulum_swings_at_its_own_period_when_the_rig_has_gravity(build: Build) -> None:
+def test_pendulum_swings_at_its_own_period_when_the_rig_has_gravity() -> None:
     world = build(1, Mount.RIG, gravity=True)
-    for _ in range(50):
-        world.step(moment(1e-3, 0.0, 0.0))
+    repeat(50, world.step, moment(1e-3, 0.0, 0.0))
     crossings, before = [], world.rate[0, 0]
     for step in range(3000):
         world.step(np.zeros((1, 6)))
@@ -217,12 +173,11 @@ def test_pendulum_swings_at_its_own_period_when_the_rig_has_gravity(build: Build
     )
 
 
-def test_falls_freely_when_loose_and_holds_still_when_not(build: Build) -> None:
+def test_falls_freely_when_loose_and_holds_still_when_not() -> None:
     free, centre, rig = (build(1, mount, gravity=True) for mount in (Mount.FREE, Mount.CENTRE, Mount.RIG))
-    for _ in range(500):
-        free.step(np.zeros((1, 6)))
-        rig.step(np.zeros((1, 6)))
-        centre.step(np.zeros((1, 6)))
+    repeat(500, free.step, np.zeros((1, 6)))
+    repeat(500, rig.step, np.zeros((1, 6)))
+    repeat(500, centre.step, np.zeros((1, 6)))
     assert free.velocity[0] == pytest.approx([0.0, 0.0, -GRAVITY * 0.5])
     assert free.position[0, 2] == pytest.approx(-GRAVITY * 0.125, rel=0.01)
     assert centre.position[0] == pytest.approx(np.zeros(3))
@@ -237,13 +192,10 @@ def test_aircraft_lands_and_stands_when_there_is_ground() -> None:
     lift = np.zeros((2, 6))
     lift[1, 2] = 1.5 * MASS * GRAVITY
     lift[1, 3] = 1e-4
-    for _ in range(300):
-        world.step(lift)
+    repeat(300, world.step, lift)
     height, turning = world.position[:, 2].copy(), world.rate[1].copy()
-    for _ in range(3000):
-        world.step(np.zeros((2, 6)))
+    repeat(3000, world.step, np.zeros((2, 6)))
     position, rate, rotation = world.position.copy(), world.rate.copy(), world.rotation.copy()
-    world.close()
     assert standing == pytest.approx(NF1.mass_properties.centre[2], abs=1e-9)
     assert height[0] == pytest.approx(standing, abs=1e-3)  # stands still
     assert height[1] > standing + 0.15  # flew
@@ -259,10 +211,8 @@ def test_pushed_off_centre_on_the_ground_it_tips_only_when_the_moment_exceeds_th
     limit = 0.08 * MASS * GRAVITY  # half the width times the weight
     for share in (0.9, 1.1):
         world = World(replace(NF1, body=body), 1, 0.001, Mount.FREE, True, ground=True)
-        for _ in range(300):
-            world.step(moment(share * limit, 0.0, 0.0))
+        repeat(300, world.step, moment(share * limit, 0.0, 0.0))
         tilts.append(np.arccos(min(1.0, world.rotation[0, 2, 2])))
-        world.close()
     assert tilts[0] < 0.01
     assert tilts[1] > 0.1
 
@@ -274,24 +224,22 @@ def test_ground_is_refused_when_nothing_could_touch_it() -> None:
         World(replace(NF1, body=None), 1, 0.001, Mount.FREE, True, ground=True)
 
 
-def test_copies_do_not_feel_each_other(build: Build) -> None:
+def test_copies_do_not_feel_each_other() -> None:
     quiet, busy = build(5, Mount.CENTRE), build(5, Mount.CENTRE)
     pushes = np.zeros((5, 6))
     pushes[2, 3:] = [2e-3, 1e-3, -1e-3]
     others = pushes.copy()
     others[[0, 1, 3, 4], 3] = [5e-3, 1e-3, -1e-3, 5e-4]
-    for _ in range(200):
-        quiet.step(pushes)
-        busy.step(others)
+    repeat(200, quiet.step, pushes)
+    repeat(200, busy.step, others)
     assert np.array_equal(busy.rate[2], quiet.rate[2])
     assert np.array_equal(busy.rotation[2], quiet.rotation[2])
     assert quiet.rate[0] == pytest.approx(np.zeros(3))
 
 
-def test_reset_touches_only_the_aircraft_it_names(build: Build) -> None:
+def test_reset_touches_only_the_aircraft_it_names() -> None:
     world = build(3, Mount.CENTRE)
-    for _ in range(50):
-        world.step(moment(1e-3, 2e-3, 3e-3, 3))
+    repeat(50, world.step, moment(1e-3, 2e-3, 3e-3, 3))
     moving = world.rate[2].copy()
     world.reset([0, 1])
     assert world.rate[:2] == pytest.approx(np.zeros((2, 3)))

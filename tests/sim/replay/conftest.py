@@ -12,9 +12,9 @@ from neuroflight.sim.ports.port import Sample
 from neuroflight.sim.replay.inputs import Flight
 from tests.sim.replay.recorder import Recorder, recorded
 
-LATE, ON_TIME = 6000, 6012  # gyro samples; three control steps in between
-NO_NUMBER = 7003
-SILENT = 8001
+LATE, ON_TIME = 4800, 4812  # gyro samples; three control steps in between
+NO_NUMBER = 5403
+SILENT = 6001
 
 
 def troubled(port: Recorder, number: int, sample: Sample) -> None:

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from neuroflight.sim.aircraft.model import load_aircraft
-from neuroflight.sim.flight.loop import fly
 from neuroflight.sim.flight.scenario import Scenario
-from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.ports.library import ReferencePort
 from neuroflight.sim.ports.port import Sample, twin_settings
-from neuroflight.toolchain.errors import LinkError
+from tests.sim.replay.recorder import flown
 
 DRAIN = 20  # gyro samples between two looks for bytes of the log
-AFTER = (
-    8000  # gyro samples that the firmware goes on after the flight: the log ends some time after disarming
-)
+AFTER = 8000  # gyro samples after the flight: the log ends some time after disarming
 
 Meddle = Callable[[Any, int, Sample], None]  # before sample number n is taken
 
@@ -54,13 +50,11 @@ def logged(
     rate_hz: int = 4000,
 ) -> Path:
     """Fly the NF1 on the library and write its log to `path`."""
-    aircraft = load_aircraft("nf1")
-    port = LoggingPort(library, rate_hz, {**twin_settings(aircraft), **(settings or {})}, meddle=meddle)
-    twin = Twin(aircraft, rate_hz=rate_hz, mount=scenario.mount, rng=np.random.default_rng((1, 1)))
+    given = {**twin_settings(load_aircraft("nf1")), **(settings or {})}
+    port = LoggingPort(library, rate_hz, given, meddle=meddle)
     still = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 9.81]))
-    with closing(port), closing(twin):
-        with suppress(LinkError):  # a fault may leave it disarmed
-            fly(twin, port, scenario)
+    with closing(port):
+        flown(port, scenario)
         for _ in range(AFTER):
             port.exchange(still, None)
     path.write_bytes(port.log)

@@ -101,6 +101,14 @@ class Recorder(ReferencePort):
 Meddle = Callable[[Recorder, int, Sample], None]  # before sample number n is taken
 
 
+def flown(port: ReferencePort, scenario: Scenario) -> None:
+    """Fly the NF1; a fault may leave it disarmed."""
+    rng = np.random.default_rng((1, 1))
+    twin = Twin(load_aircraft("nf1"), rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
+    with closing(twin), suppress(LinkError):
+        fly(twin, port, scenario)
+
+
 def recorded(
     library: Path,
     scenario: Scenario,
@@ -110,12 +118,10 @@ def recorded(
     meddle: Meddle = lambda port, number, sample: None,
 ) -> Flight:
     """A flight of the NF1 on the library, as a log would have it."""
-    aircraft = load_aircraft("nf1")
-    wanted = flight_settings({**twin_settings(aircraft), **(settings or {})})
+    wanted = flight_settings({**twin_settings(load_aircraft("nf1")), **(settings or {})})
     port = Recorder(library, rate_hz, wanted, meddle)
-    twin = Twin(aircraft, rate_hz=rate_hz, mount=scenario.mount, rng=np.random.default_rng((1, 1)))
-    with closing(port), closing(twin), suppress(LinkError):  # a fault may leave it disarmed
-        fly(twin, port, scenario)
+    with closing(port):
+        flown(port, scenario)
     return _flight(library, port, wanted)
 
 

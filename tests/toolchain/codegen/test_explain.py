@@ -13,23 +13,11 @@ import pytest
 from onnx import helper
 
 from neuroflight.cli.main import main
+from neuroflight.cli.report import WIDTH
 from neuroflight.toolchain.codegen.explain import describe, explain_policy
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.network import Network, Node
 from neuroflight.toolchain.ir.onnx_export import to_model
-from neuroflight.toolchain.ir.operations import (
-    Affine,
-    Clip,
-    Concat,
-    Gru,
-    LeakyRelu,
-    Linear,
-    Operation,
-    Relu,
-    Sigmoid,
-    Slice,
-    Softsign,
-    Tanh,
-)
 from neuroflight.toolchain.passes import PASSES
 from neuroflight.toolchain.policy.model import parse_policy
 
@@ -43,32 +31,32 @@ def array(*shape: int, seed: int = 0) -> np.ndarray[tuple[int, ...], np.dtype[np
     return (0.4 * np.random.default_rng(seed).normal(size=shape)).astype(np.float32)
 
 
-def linear(outputs: int, inputs: int, seed: int = 0) -> Linear:
-    return Linear(array(outputs, inputs, seed=seed), array(outputs, seed=seed + 1))
+def linear(outputs: int, inputs: int, seed: int = 0) -> op.Linear:
+    return op.Linear(array(outputs, inputs, seed=seed), array(outputs, seed=seed + 1))
 
 
 def every_pass() -> Network:
     """A network in which each pass finds something."""
     nodes = list[Node]()
 
-    def add(operation: Operation, *taken: int) -> int:
+    def add(operation: op.Operation, *taken: int) -> int:
         nodes.append(Node(operation, taken, f"node_{len(nodes)}"))
         return len(nodes)
 
-    moved = add(Affine(np.ones(6), array(6).astype(float)), 0)
-    scaled = add(Affine(array(6).astype(float), np.zeros(6)), moved)
-    errors = add(Slice(0, 5), scaled)
-    gate = add(Sigmoid(), add(linear(16, 5), errors))
+    moved = add(op.Affine(np.ones(6), array(6).astype(float)), 0)
+    scaled = add(op.Affine(array(6).astype(float), np.zeros(6)), moved)
+    errors = add(op.Slice(0, 5), scaled)
+    gate = add(op.Sigmoid(), add(linear(16, 5), errors))
     still = linear(12, 16)
     still.weight[4] = 0
-    hidden = add(Clip(-1.0, 1.0), add(Tanh(), add(still, gate)))
+    hidden = add(op.Clip(-1.0, 1.0), add(op.Tanh(), add(still, gate)))
     twin, other = add(linear(7, 16, 3), gate), add(linear(7, 16, 3), gate)
-    deltas = add(Relu(), add(linear(4, 2), add(Slice(1, 2), errors)))
-    joined = add(Concat(), hidden, add(Softsign(), twin), add(Softsign(), other), deltas)
+    deltas = add(op.Relu(), add(linear(4, 2), add(op.Slice(1, 2), errors)))
+    joined = add(op.Concat(), hidden, add(op.Softsign(), twin), add(op.Softsign(), other), deltas)
     add(linear(9, 30), joined)  # a critic's head: nobody takes it
     wide = add(linear(20, 30), joined)
-    last = add(Affine(np.ones(4), np.zeros(4)), add(Tanh(), add(linear(4, 20), wide)))
-    add(Clip(0.0, 1.0), add(Affine(np.full(4, 0.5), np.full(4, 0.5)), last))
+    last = add(op.Affine(np.ones(4), np.zeros(4)), add(op.Tanh(), add(linear(4, 20), wide)))
+    add(op.Clip(0.0, 1.0), add(op.Affine(np.full(4, 0.5), np.full(4, 0.5)), last))
     return Network(6, tuple(nodes))
 
 
@@ -132,24 +120,21 @@ def test_savings_and_networks_agree_when_explained(policy_file: Path, capsys: Ca
 
 
 def test_state_is_told_when_the_policy_remembers(kit: Kit) -> None:
-    cell = Gru(array(15, 6), array(15, 5, seed=1), array(15), array(15))
-    network = Network(6, (Node(cell, (0,)), Node(linear(4, 5), (1,)), Node(Clip(0.0, 1.0), (2,))))
+    cell = op.Gru(array(15, 6), array(15, 5, seed=1), array(15), array(15))
+    network = Network(6, (Node(cell, (0,)), Node(linear(4, 5), (1,)), Node(op.Clip(0.0, 1.0), (2,))))
     explanation = explain_policy(parse_policy(data(kit, network)))
     assert explanation.memory.state >= 4 * 5
     assert [node.operation for node in explanation.after] == ["Gru 6 → 5", "Linear 5 → 4", "Clip 0 to 1"]
 
 
-def test_table_is_printed_when_explained(
-    policy_file: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "120")
+def test_table_is_printed_when_explained(policy_file: Path, tmp_path: Path, capsys: Capture) -> None:
     assert main(["policy", "compile", str(policy_file), "--explain"]) == 0
     printed = capsys.readouterr().out
     for step in PASSES:
         assert sum(line.startswith(f"{step.name} ") for line in printed.splitlines()) == 1
     assert "Linear 16 → 12" in printed
     assert "scratch" in printed
-    assert max(map(len, printed.splitlines())) <= 120
+    assert max(map(len, printed.splitlines())) <= WIDTH
     assert list(tmp_path.iterdir()) == [policy_file]
 
 
@@ -207,15 +192,15 @@ def test_compile_is_refused_when_out_is_a_file(policy_file: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("operation", "text"),
     [
-        (Affine(np.full(3, 2.0), np.zeros(3)), "Affine a x"),
-        (Affine(np.ones(3), np.ones(3)), "Affine x + b"),
-        (Affine(np.full(3, 2.0), np.ones(3)), "Affine a x + b"),
-        (LeakyRelu(0.01), "LeakyRelu 0.01"),
-        (Clip(None, 0.5), "Clip … to 0.5"),
-        (Slice(2, 3), "Slice 2 to 4"),
-        (Slice(5, 3, -2), "Slice 5 to 1, every -2"),
-        (Softsign(), "Softsign"),
+        (op.Affine(np.full(3, 2.0), np.zeros(3)), "Affine a x"),
+        (op.Affine(np.ones(3), np.ones(3)), "Affine x + b"),
+        (op.Affine(np.full(3, 2.0), np.ones(3)), "Affine a x + b"),
+        (op.LeakyRelu(0.01), "LeakyRelu 0.01"),
+        (op.Clip(None, 0.5), "Clip … to 0.5"),
+        (op.Slice(2, 3), "Slice 2 to 4"),
+        (op.Slice(5, 3, -2), "Slice 5 to 1, every -2"),
+        (op.Softsign(), "Softsign"),
     ],
 )
-def test_operation_is_told_in_a_few_words_when_it_is(operation: Operation, text: str) -> None:
+def test_operation_is_told_in_a_few_words_when_it_is(operation: op.Operation, text: str) -> None:
     assert describe(operation) == text

@@ -13,27 +13,16 @@ import pytest
 from neuroflight.toolchain.codegen.kernel_calls import Call
 from neuroflight.toolchain.codegen.plan import CodePlan, lower
 from neuroflight.toolchain.contract import observation_blocks
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.activation_tables import TANH
 from neuroflight.toolchain.ir.lanes import LANES
 from neuroflight.toolchain.ir.network import Network, Node, chain
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Clip,
-    Concat,
-    Gru,
-    Linear,
-    Lstm,
-    Operation,
-    Relu,
-    Slice,
-    Tanh,
-)
 from neuroflight.toolchain.policy.model import PolicyModel
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
 
-CLIP = Clip(0.0, 1.0)
+CLIP = op.Clip(0.0, 1.0)
 TANH_FLOATS = TANH.rows.size
 
 
@@ -47,9 +36,9 @@ def lowered(policy: PolicyModel, network: Network | None = None) -> CodePlan:
     return lower(policy, network or policy.network)
 
 
-def linear(outputs: int, inputs: int) -> Linear:
+def linear(outputs: int, inputs: int) -> op.Linear:
     count = np.arange(outputs * inputs, dtype=np.float32)
-    return Linear(count.reshape(outputs, inputs), -1 - np.arange(outputs, dtype=np.float32))
+    return op.Linear(count.reshape(outputs, inputs), -1 - np.arange(outputs, dtype=np.float32))
 
 
 @pytest.mark.parametrize(
@@ -83,23 +72,28 @@ def test_table_holds_biases_then_weights_by_input_when_read_block_by_block(polic
 
 
 def test_functions_come_first_and_once_when_several_layers_look_them_up(policy: PolicyModel) -> None:
-    plan = lowered(policy, chain(6, [linear(4, 6), Tanh(), linear(4, 4), Tanh(), CLIP]))
+    plan = lowered(policy, chain(6, [linear(4, 6), op.Tanh(), linear(4, 4), op.Tanh(), CLIP]))
     assert [call.table for call in plan.calls if call.kernel == "look_up"] == [0, 0]
     np.testing.assert_array_equal(plan.table[:TANH_FLOATS], TANH.rows.ravel())
     assert [call.table for call in plan.calls if call.kernel == "linear4"] == [TANH_FLOATS, TANH_FLOATS + 28]
 
 
 def test_parts_of_the_table_start_on_whole_lanes_when_widths_are_odd(policy: PolicyModel) -> None:
-    plan = lowered(policy, chain(3, [linear(7, 3), Tanh(), linear(9, 7), Relu(), linear(1, 9), CLIP]))
+    plan = lowered(policy, chain(3, [linear(7, 3), op.Tanh(), linear(9, 7), op.Relu(), linear(1, 9), CLIP]))
     assert all(call.table % LANES == 0 for call in plan.calls if call.table is not None)
     assert all(place.offset % LANES == 0 for call in plan.calls for place in call.sources)
 
 
 def deep() -> Network:
     """Values of many widths and lives: the observation is needed at the very end."""
-    nodes = [Node(linear(40, 6), (0,)), Node(Tanh(), (1,)), Node(linear(9, 40), (2,)), Node(Relu(), (3,))]
-    nodes += [Node(linear(17, 9), (4,)), Node(Slice(1, 9), (5,)), Node(Add(), (6, 4))]
-    return Network(6, (*nodes, Node(Concat(), (7, 0)), Node(linear(4, 15), (8,)), Node(CLIP, (9,))))
+    nodes = [
+        Node(linear(40, 6), (0,)),
+        Node(op.Tanh(), (1,)),
+        Node(linear(9, 40), (2,)),
+        Node(op.Relu(), (3,)),
+    ]
+    nodes += [Node(linear(17, 9), (4,)), Node(op.Slice(1, 9), (5,)), Node(op.Add(), (6, 4))]
+    return Network(6, (*nodes, Node(op.Concat(), (7, 0)), Node(linear(4, 15), (8,)), Node(CLIP, (9,))))
 
 
 def spans(call: Call) -> list[tuple[int, int]]:
@@ -134,14 +128,14 @@ def test_no_value_is_overwritten_when_it_is_still_needed(policy: PolicyModel) ->
     assert kernels[reads[copies[-1]].pop()] == "enter"  # the observation, read long after it came in
 
 
-def cell(kind: type, units: int, inputs: int) -> Operation:
-    gates = 3 if kind is Gru else 4
+def cell(kind: type, units: int, inputs: int) -> op.Operation:
+    gates = 3 if kind is op.Gru else 4
     arrays = [np.ones((gates * units, width), np.float32) for width in (inputs, units)]
-    biases = [np.ones(gates * units, np.float32)] * (2 if kind is Gru else 1)
+    biases = [np.ones(gates * units, np.float32)] * (2 if kind is op.Gru else 1)
     return kind(*arrays, *biases)  # type: ignore[no-any-return]
 
 
-@pytest.mark.parametrize(("kind", "floats"), [(Gru, 8), (Lstm, 16)])
+@pytest.mark.parametrize(("kind", "floats"), [(op.Gru, 8), (op.Lstm, 16)])
 def test_state_has_room_for_whole_lanes_when_a_cell_is_recurrent(
     policy: PolicyModel, kind: type, floats: int
 ) -> None:
@@ -150,7 +144,7 @@ def test_state_has_room_for_whole_lanes_when_a_cell_is_recurrent(
 
 
 def test_calls_in_one_step_do_not_share_places_when_both_are_in_use(policy: PolicyModel) -> None:
-    plan = lowered(policy, chain(6, [cell(Lstm, 5, 6), linear(4, 5), CLIP]))
+    plan = lowered(policy, chain(6, [cell(op.Lstm, 5, 6), linear(4, 5), CLIP]))
     for call in plan.calls:
         sources = [place for place in call.sources if place.memory == "scratch"]
         for one, other in combinations([*sources, *([call.target] if call.target else [])], 2):
@@ -166,7 +160,7 @@ def test_hash_stays_when_only_weights_differ(kit: Kit) -> None:
     assert hash_of(one) == hash_of(two)
 
 
-def edited(policy: PolicyModel, place: slice, *operations: Operation) -> PolicyModel:
+def edited(policy: PolicyModel, place: slice, *operations: op.Operation) -> PolicyModel:
     kept = [node.operation for node in policy.network.nodes]
     kept[place] = operations
     return replace(policy, network=chain(policy.network.inputs, kept))
@@ -177,9 +171,9 @@ CHANGES: dict[str, Callable[[PolicyModel], PolicyModel]] = {
     "filters": lambda p: replace(p, filters=("pt1", 100)),
     "blocks": lambda p: replace(p, blocks=observation_blocks("rate,rate_error")),
     "order": lambda p: replace(p, blocks=tuple(reversed(p.blocks))),
-    "activation": lambda p: edited(p, slice(1, 2), Clip(-1.0, 1.0)),
-    "bounds": lambda p: edited(p, slice(-1, None), Clip(0.0, 0.5)),
-    "depth": lambda p: edited(p, slice(-1, -1), Tanh()),
+    "activation": lambda p: edited(p, slice(1, 2), op.Clip(-1.0, 1.0)),
+    "bounds": lambda p: edited(p, slice(-1, None), op.Clip(0.0, 0.5)),
+    "depth": lambda p: edited(p, slice(-1, -1), op.Tanh()),
 }
 
 

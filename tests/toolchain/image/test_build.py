@@ -7,7 +7,6 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,10 +22,9 @@ from neuroflight.toolchain.image.elf import read_image
 from neuroflight.toolchain.image.report import MotorFacts, built_motors
 from neuroflight.toolchain.policy.model import read_policy
 from neuroflight.toolchain.rendering.pid_table import PidTable
-from tests.sampling import sampled
 
 if TYPE_CHECKING:
-    from tests.toolchain.conftest import Chain, Kit
+    from tests.toolchain.conftest import Kit
 
 ROOT = Path(__file__).resolve().parents[3]
 MAKEFILE = """
@@ -92,71 +90,54 @@ def test_build_is_refused_with_the_command_when_the_compiler_is_missing(
     )
 
 
-def seven_motors(kit: Kit) -> Chain:
-    return kit.mlp((6, 8, 7))
-
-
-def slow(kit: Kit) -> Chain:
-    chain = kit.mlp((6, 8, 4))
-    chain.metadata["neuroflight.control_rate_hz"] = "500"
-    return chain
-
-
-def filtered(kit: Kit) -> Chain:
-    chain = kit.mlp((6, 8, 4))
-    chain.metadata["neuroflight.filters"] = '["pt1:100"]'
-    return chain
-
-
-def wide(kit: Kit) -> Chain:
-    chain = kit.mlp((66, 8, 4))
-    chain.metadata["neuroflight.observation"] = ",".join(["rate"] * 22)
-    return chain
-
-
-def remembering(kit: Kit) -> Chain:
-    chain = kit.mlp((18, 8, 4))
-    chain.metadata["neuroflight.observation"] = ",".join(["rate@16"] * 6)
-    return chain
-
-
-def sighted(kit: Kit) -> Chain:
-    chain = kit.mlp((6, 8, 4))
-    chain.metadata["neuroflight.observation"] = "rate,gravity@1"
-    return chain
-
-
-def large(kit: Kit) -> Chain:
-    return kit.mlp((6, 100, 111, 4))
-
-
-def broad(kit: Kit) -> Chain:
-    return kit.mlp((6, 600, 4))
-
-
-def long(kit: Kit) -> Chain:
-    return kit.mlp((6, *[4] * 414, 4))
-
-
-MISFITS: list[tuple[Callable[[Kit], Chain], str]] = [
-    (seven_motors, "the policy drives 7 motors, MATEKF722 has 6; train it for an aircraft with no more"),
-    (slow, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
-    (filtered, 'trained behind the gyro filters ["pt1:100"], expected [] or [["mean"]]'),
-    (wide, "the policy cannot be flown: the observation has 66 values, expected at most 64"),
-    (remembering, "the policy cannot be flown: the observation remembers 288 values, expected at most 256"),
-    (sighted, "the policy observes gravity, which the firmware has no source for; train it on other blocks"),
-    (large, "13,032 weights, DTCM has room for 12,288: 2,976 bytes too many; train a smaller network"),
-    (broad, "1,200 floats to work on, DTCM has room for 640: 2,240 bytes too many; train one with narrower"),
-    (long, "831 kernel calls, the bank has room for 800: 992 bytes too many; train fewer layers"),
+MISFITS: list[tuple[tuple[int, ...], dict[str, str], str]] = [  # widths, metadata, words
+    ((6, 8, 7), {}, "the policy drives 7 motors, MATEKF722 has 6; train it for an aircraft with no more"),
+    ((6, 8, 4), {"control_rate_hz": "500"}, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
+    (
+        (6, 8, 4),
+        {"filters": '["pt1:100"]'},
+        'trained behind the gyro filters ["pt1:100"], expected [] or [["mean"]]',
+    ),
+    (
+        (66, 8, 4),
+        {"observation": ",".join(["rate"] * 22)},
+        "the policy cannot be flown: the observation has 66 values, expected at most 64",
+    ),
+    (
+        (18, 8, 4),
+        {"observation": ",".join(["rate@16"] * 6)},
+        "the policy cannot be flown: the observation remembers 288 values, expected at most 256",
+    ),
+    (
+        (6, 8, 4),
+        {"observation": "rate,gravity@1"},
+        "the policy observes gravity, which the firmware has no source for; train it on other blocks",
+    ),
+    (
+        (6, 100, 111, 4),
+        {},
+        "13,032 weights, DTCM has room for 12,288: 2,976 bytes too many; train a smaller network",
+    ),
+    (
+        (6, 600, 4),
+        {},
+        "1,200 floats to work on, DTCM has room for 640: 2,240 bytes too many; train one with narrower",
+    ),
+    (
+        (6, *[4] * 414, 4),
+        {},
+        "831 kernel calls, the bank has room for 800: 992 bytes too many; train fewer layers",
+    ),
 ]
 
 
-@pytest.mark.parametrize(("make", "words"), MISFITS, ids=lambda value: getattr(value, "__name__", ""))
+@pytest.mark.parametrize(("widths", "metadata", "words"), MISFITS)
 def test_build_is_refused_when_the_policy_does_not_fit(
-    kit: Kit, tmp_path: Path, make: Callable[[Kit], Chain], words: str
+    kit: Kit, tmp_path: Path, widths: tuple[int, ...], metadata: dict[str, str], words: str
 ) -> None:
-    policy = tmp_path / "policy.onnx"
-    policy.write_bytes(make(kit).data())
+    policy, chain = tmp_path / "policy.onnx", kit.mlp(widths)
+    chain.metadata |= {f"neuroflight.{key}": value for key, value in metadata.items()}
+    policy.write_bytes(chain.data())
     assert words in refused("MATEKF722", policy, project(tmp_path / "root"), PolicyError)
 
 
@@ -279,11 +260,23 @@ def test_region_and_bytes_are_named_when_the_linker_finds_no_room(tmp_path: Path
     )
 
 
-@pytest.mark.parametrize("where", sampled(["checkout", "folder for outputs"], "folder for outputs"))
+ODD_PLACE = "Flüge: it's #1 of 50 % (a=b) $HOME"  # of what make takes for its own
+
+
+def test_a_product_is_found_when_a_path_has_what_make_takes_for_its_own(
+    tmp_path: Path, policy_file: Path
+) -> None:
+    place = tmp_path / ODD_PLACE
+    build("HOST", policy_file, project(place), place / "out")
+    assert (place / "out" / "HOST" / "libneuroflight.so").read_text() == "one"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["checkout", "folder for outputs"])
 def test_the_firmware_is_built_when_a_path_has_what_make_takes_for_its_own(
     tmp_path: Path, policy_file: Path, where: str
 ) -> None:
-    place = tmp_path / "Flüge: it's #1 of 50 % (a=b) $HOME"
+    place = tmp_path / ODD_PLACE
     root, folder = (place, None) if where == "checkout" else (ROOT, place / "out")
     if folder is None:
         left_out = shutil.ignore_patterns("generated")

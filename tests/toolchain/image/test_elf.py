@@ -58,13 +58,6 @@ def test_an_image_is_refused_when_it_does_not_tell_its_ram(tmp_path: Path) -> No
         image_budgets(image)
 
 
-def test_board_image_is_hard_float_for_the_cortex_m7_when_built(board_image: Path) -> None:
-    image = read_image(board_image)
-    assert image.machine == "ARM"
-    assert image.is_hard_float
-    assert image.attributes["CPU_NAME"] in ("Cortex-M7", "7E-M")
-
-
 def test_board_image_has_no_heap_and_no_double_helper_when_built(board_image: Path) -> None:
     symbols = set(read_image(board_image).symbols)
     assert {"policy_step", "policy_weights"} <= symbols
@@ -102,11 +95,6 @@ def test_use_is_counted_when_flash_and_ram_are_known(tmp_path: Path) -> None:
     assert use["DTCM"] == 400
     assert 8 <= use["flash"] < 100
     assert (use["ITCM"], use["SRAM1"]) == (0, 0)
-
-
-def test_image_is_soft_float_when_compiled_so(tmp_path: Path) -> None:
-    source = "float scale(float x) { return 2 * x; } void start(void) { scale(1); }"
-    assert not read_image(linked(tmp_path, source, "-mfloat-abi=softfp")).is_hard_float
 
 
 def test_image_is_refused_when_a_byte_lies_outside_the_board(tmp_path: Path) -> None:

@@ -10,73 +10,49 @@ import onnxruntime
 import pytest
 from onnx import helper
 
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.interpreter import advance, clear_state, evaluate, replay
 from neuroflight.toolchain.ir.network import Network, Node, chain
 from neuroflight.toolchain.ir.onnx_export import to_model
-from neuroflight.toolchain.ir.operations import (
-    Add,
-    Affine,
-    Clip,
-    Concat,
-    Elu,
-    Erf,
-    Gru,
-    LayerNorm,
-    LeakyRelu,
-    Linear,
-    Lstm,
-    Multiply,
-    Operation,
-    Relu,
-    RmsNorm,
-    Select,
-    Sigmoid,
-    Silu,
-    Slice,
-    Softmax,
-    Softplus,
-    Softsign,
-    Tanh,
-)
 from neuroflight.toolchain.passes import optimize
 from neuroflight.toolchain.policy.model import parse_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
 
-CLIP = Clip(0.0, 1.0)
+CLIP = op.Clip(0.0, 1.0)
 
 
 def array(*shape: int, seed: int = 0) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return (0.4 * np.random.default_rng(seed).normal(size=shape)).astype(np.float32)
 
 
-GRU = Gru(array(9, 6), array(9, 3, seed=1), array(9, seed=2), array(9, seed=3))
-LSTM = Lstm(array(12, 3), array(12, 3, seed=1), array(12, seed=2))
-OPERATIONS: dict[str, Operation] = {
-    "linear": Linear(array(4, 6), array(4)),
-    "affine": Affine(array(6).astype(float), array(6, seed=1).astype(float)),
-    "tanh": Tanh(),
-    "sigmoid": Sigmoid(),
-    "silu": Silu(),
-    "softsign": Softsign(),
-    "erf": Erf(),
-    "softplus": Softplus(),
-    "softmax": Softmax(),
-    "rms norm": RmsNorm(1e-5, array(6), array(6, seed=1)),
-    "relu": Relu(),
-    "leaky relu": LeakyRelu(0.125),
-    "elu": Elu(0.75),
-    "clip": Clip(-0.25, 0.5),
-    "clip from below": Clip(-0.25, None),
-    "clip from above": Clip(None, 0.5),
-    "layer norm": LayerNorm(1e-5, array(6), array(6, seed=1)),
-    "slice": Slice(1, 3),
-    "slice of every other": Slice(1, 2, 3),
-    "slice backwards": Slice(5, 3, -2),
-    "slice backwards to the first": Slice(4, 5, -1),
+GRU = op.Gru(array(9, 6), array(9, 3, seed=1), array(9, seed=2), array(9, seed=3))
+LSTM = op.Lstm(array(12, 3), array(12, 3, seed=1), array(12, seed=2))
+OPERATIONS: dict[str, op.Operation] = {
+    "linear": op.Linear(array(4, 6), array(4)),
+    "affine": op.Affine(array(6).astype(float), array(6, seed=1).astype(float)),
+    "tanh": op.Tanh(),
+    "sigmoid": op.Sigmoid(),
+    "silu": op.Silu(),
+    "softsign": op.Softsign(),
+    "erf": op.Erf(),
+    "softplus": op.Softplus(),
+    "softmax": op.Softmax(),
+    "rms norm": op.RmsNorm(1e-5, array(6), array(6, seed=1)),
+    "relu": op.Relu(),
+    "leaky relu": op.LeakyRelu(0.125),
+    "elu": op.Elu(0.75),
+    "clip": op.Clip(-0.25, 0.5),
+    "clip from below": op.Clip(-0.25, None),
+    "clip from above": op.Clip(None, 0.5),
+    "layer norm": op.LayerNorm(1e-5, array(6), array(6, seed=1)),
+    "slice": op.Slice(1, 3),
+    "slice of every other": op.Slice(1, 2, 3),
+    "slice backwards": op.Slice(5, 3, -2),
+    "slice backwards to the first": op.Slice(4, 5, -1),
     "gru": GRU,
-    "lstm": Lstm(array(8, 6), array(8, 2, seed=1), array(8, seed=2)),
+    "lstm": op.Lstm(array(8, 6), array(8, 2, seed=1), array(8, seed=2)),
 }
 
 
@@ -101,13 +77,13 @@ def test_onnxruntime_agrees_when_the_operation_is(name: str) -> None:
 
 def test_onnxruntime_agrees_when_the_network_branches() -> None:
     nodes = (
-        Node(Linear(array(6, 6), array(6)), (0,)),
-        Node(Tanh(), (1,)),
-        Node(Multiply(), (2, 0)),
-        Node(Concat(), (3, 1)),
-        Node(Slice(4, 6), (4,)),
-        Node(Add(), (5, 2)),
-        Node(Select(), (6, 3, 1)),
+        Node(op.Linear(array(6, 6), array(6)), (0,)),
+        Node(op.Tanh(), (1,)),
+        Node(op.Multiply(), (2, 0)),
+        Node(op.Concat(), (3, 1)),
+        Node(op.Slice(4, 6), (4,)),
+        Node(op.Add(), (5, 2)),
+        Node(op.Select(), (6, 3, 1)),
         Node(CLIP, (7,)),
     )
     network = Network(6, nodes)
@@ -117,7 +93,7 @@ def test_onnxruntime_agrees_when_the_network_branches() -> None:
 
 
 def test_state_is_taken_and_given_when_asked_for() -> None:
-    network = chain(6, (GRU, LSTM, Linear(array(4, 3), array(4) + np.float32(0.5)), CLIP))
+    network = chain(6, (GRU, LSTM, op.Linear(array(4, 3), array(4) + np.float32(0.5)), CLIP))
     run = session(to_model(network, rows="rows", state=True))
     assert [value.name for value in run.get_inputs()] == ["observation", "state0", "state1", "state2"]
     names = [value.name for value in run.get_outputs()]
@@ -134,7 +110,9 @@ def test_state_is_taken_and_given_when_asked_for() -> None:
 
 
 def test_every_value_is_given_when_asked_for() -> None:
-    network = chain(6, (Affine(np.full(6, 2.0), np.ones(6)), Linear(array(4, 6), array(4)), Tanh(), CLIP))
+    network = chain(
+        6, (op.Affine(np.full(6, 2.0), np.ones(6)), op.Linear(array(4, 6), array(4)), op.Tanh(), CLIP)
+    )
     run = session(to_model(network, values=True))
     assert [value.name for value in run.get_outputs()] == ["action", "value1", "value2", "value3"]
     row = observations(1)
@@ -150,8 +128,10 @@ def test_model_is_the_same_when_it_is_written_twice() -> None:
 
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_network_is_read_back_when_the_operation_is(name: str, kit: Kit) -> None:
-    joined = Network(6, (Node(OPERATIONS[name], (0,)), Node(Concat(), (1, 0)), Node(Multiply(), (2, 2))))
-    last = Linear(array(4, joined.outputs), array(4) + np.float32(0.5))
+    joined = Network(
+        6, (Node(OPERATIONS[name], (0,)), Node(op.Concat(), (1, 0)), Node(op.Multiply(), (2, 2)))
+    )
+    last = op.Linear(array(4, joined.outputs), array(4) + np.float32(0.5))
     network = Network(6, (*joined.nodes, Node(last, (3,)), Node(CLIP, (4,))))
     model = to_model(network)
     helper.set_model_props(model, kit.chain().metadata)

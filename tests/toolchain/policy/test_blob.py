@@ -57,25 +57,10 @@ BLOB = PolicyBlob(
     selftest_steps=2,
 )
 # The first bytes of layout version 5, by hand. Changing them means another layout version.
-NUMBERS = struct.pack(
-    "<4sHHIIIIIHHIIIHHI",
-    b"NFPB",
-    5,
-    HEADER_BYTES,
-    HEADER_BYTES + 4 * (5 + 12 + 8) + 4,
-    7,
-    0x89ABCDEF,
-    0x0D4CBB29,
-    1000,
-    6,
-    4,
-    HEADER_BYTES,
-    5,
-    HEADER_BYTES + 4 * 5,
-    2,
-    2,
-    2,
-)
+TOTAL_BYTES = HEADER_BYTES + 4 * (5 + 12 + 8) + 4
+NUMBERS = struct.pack("<4sHHI", b"NFPB", 5, HEADER_BYTES, TOTAL_BYTES)
+NUMBERS += struct.pack("<IIIIHH", 7, 0x89ABCDEF, 0x0D4CBB29, 1000, 6, 4)
+NUMBERS += struct.pack("<IIIHHI", HEADER_BYTES, 5, HEADER_BYTES + 4 * 5, 2, 2, 2)
 TERMS = bytes([2, 3]).ljust(32, b"\0") + bytes([0, 3]).ljust(32, b"\0") + bytes(4)
 TERMS += struct.pack("<f", 1 - np.exp(-2 * np.pi * 15 / 1000)).ljust(4 * 31, b"\0")
 NAMES = b"nf1".ljust(32, b"\0") + b"\x0f" * 32 + b"\xa1" * 32
@@ -310,6 +295,11 @@ def test_a_model_is_refused_in_its_words_when_a_number_lies(name: str, value: by
     assert re.search(text, refusal(lambda: parse(sealed(changed))))
 
 
+def vectors(count: int) -> dict[str, Any]:
+    """So many vectors of the self-test."""
+    return {"selftest_observation": np.ones((count, 6), "f4"), "selftest_action": np.ones((count, 4), "f4")}
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -342,20 +332,8 @@ def test_a_model_is_refused_in_its_words_when_a_number_lies(name: str, value: by
             },
             "number of observation terms is 33, expected 1 to 32",
         ),
-        (
-            {
-                "selftest_observation": np.ones((0, 6), np.float32),
-                "selftest_action": np.ones((0, 4), np.float32),
-            },
-            "number of self-test vectors is 0, expected 1 to 65535",
-        ),
-        (
-            {
-                "selftest_observation": np.ones((3, 6), np.float32),
-                "selftest_action": np.ones((3, 4), np.float32),
-            },
-            "3 self-test vectors are no multiple of 2 steps",
-        ),
+        (vectors(0), "number of self-test vectors is 0, expected 1 to 65535"),
+        (vectors(3), "3 self-test vectors are no multiple of 2 steps"),
     ],
 )
 def test_a_blob_is_not_packed_when_it_could_not_be_read_back(change: dict[str, Any], text: str) -> None:

@@ -22,6 +22,7 @@ from neuroflight.toolchain.ir.interpreter import replay
 from neuroflight.toolchain.policy.import_onnx import PolicyClaims, imported_model
 from neuroflight.toolchain.policy.model import parse_policy
 from neuroflight.toolchain.verification.original import compare
+from tests.sampling import sampled
 
 Float32 = NDArray[np.float32]
 CLAIMS = PolicyClaims("rate_error,rate_error_delta", 1000, "[]", "nf1", "ab" * 32, 4)
@@ -242,13 +243,12 @@ ACTORS: dict[str, tuple[Callable[[], Actor], str]] = {
 }
 
 
-BY_DYNAMO = ("LSTM of two layers",)  # the others are its slow part
-RARE = [pytest.param(n, True, marks=pytest.mark.slow) for n in ACTORS if n not in BY_DYNAMO]
+# Of two layers or one, as an operator, a cell or its matrices: the others differ in one of these.
+ORDINARY = ("GRU of two layers", "LSTM of two layers", "RNN", "LSTMCell", "packed", "by gates", "joint")
 
 
-@pytest.mark.parametrize(
-    ("name", "dynamo"), [*((name, False) for name in ACTORS), *((name, True) for name in BY_DYNAMO), *RARE]
-)
+@pytest.mark.parametrize("dynamo", sampled([False, True], False))
+@pytest.mark.parametrize("name", sampled(ACTORS, *ORDINARY))
 def test_state_is_carried_as_onnxruntime_carries_it_when_it_is_input_and_output(
     name: str, dynamo: bool
 ) -> None:

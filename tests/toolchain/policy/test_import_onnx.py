@@ -27,6 +27,7 @@ from neuroflight.toolchain.policy.model import parse_policy, read_policy
 from neuroflight.toolchain.reader.external import embed_weights
 
 if TYPE_CHECKING:
+    from neuroflight.toolchain.ir.network import Network
     from tests.toolchain.conftest import Chain, Kit
 
 Capture = pytest.CaptureFixture[str]
@@ -58,6 +59,18 @@ def source(kit: Kit, tmp_path: Path) -> Path:
     return path
 
 
+def adopt(source: Path, out: Path, *options: str) -> None:
+    """Make a policy of the model as a user does."""
+    assert main(["policy", "import", str(source), *OPTIONS, *options, "--out", str(out)]) == 0
+
+
+def assert_same(network: Network, kit: Kit) -> None:
+    """Hold a network to that of `kit.mlp((6, 8, 4))`."""
+    observation = kit.observations(20, 6)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    np.testing.assert_array_equal(evaluate(network, observation), expected)
+
+
 def refused(arguments: list[str], capsys: Capture) -> str:
     """The one line of a freeze that fails."""
     assert main(["policy", "import", *arguments]) == 1
@@ -71,7 +84,7 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
     source: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "policy.onnx"
-    assert main(["policy", "import", str(source), *OPTIONS, "--clip", "--out", str(out)]) == 0
+    adopt(source, out, "--clip")
     printed = capsys.readouterr().out.splitlines()
     assert re.fullmatch(
         r"compared with onnxruntime on the model itself, 300 steps: at most \d\.\de-0\d apart",
@@ -92,12 +105,8 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
 
 
 def test_model_computes_the_same_when_frozen(kit: Kit) -> None:
-    chain = kit.mlp((6, 8, 4))
-    network = parse_policy(chain.data()).network
-    data, changes = imported_model(foreign(chain), CLAIMS, clip=True)
-    observation = kit.observations(50, 6)
-    imported = parse_policy(data)
-    np.testing.assert_array_equal(evaluate(imported.network, observation), evaluate(network, observation))
+    data, changes = imported_model(foreign(kit.mlp((6, 8, 4))), CLAIMS, clip=True)
+    assert_same(parse_policy(data).network, kit)
     assert "appended a Clip to [0, 1]" not in changes
 
 
@@ -114,7 +123,7 @@ def test_metadata_are_replaced_when_the_model_has_some(kit: Kit) -> None:
 
 def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "policy.onnx"
-    assert main(["policy", "import", str(source), *OPTIONS, "--clip", "--json", "--out", str(out)]) == 0
+    adopt(source, out, "--clip", "--json")
     document = json.loads(capsys.readouterr().out)
     assert document["policy_sha256"] == read_policy(out).source_sha256
     assert len(document["changes"]) == 5
@@ -123,9 +132,7 @@ def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Pat
 
 def test_policy_has_the_idle_that_it_is_frozen_with(source: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "policy.onnx"
-    assert (
-        main(["policy", "import", str(source), *OPTIONS, "--clip", "--idle", "0.23", "--out", str(out)]) == 0
-    )
+    adopt(source, out, "--clip", "--idle", "0.23")
     assert read_policy(out).idle == 0.23
 
 
@@ -264,7 +271,7 @@ def test_outputs_are_mapped_when_their_range_is_told(
     session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
     theirs = np.concatenate([session.run(None, {"obs": row[None]})[0] for row in observation])
     expected = np.clip((theirs.astype(np.float64) - low) / (high - low), 0, 1)
-    assert main(["policy", "import", str(path), *OPTIONS, "--output-range", asked, "--out", str(out)]) == 0
+    adopt(path, out, "--output-range", asked)
     printed = capsys.readouterr().out
     assert f"mapped outputs from {low:g} to {high:g} to motor fractions from 0 to 1" in printed
     assert "warning" not in printed
@@ -291,9 +298,7 @@ def test_freeze_warns_when_a_clip_holds_what_the_model_means(
     kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[Any, ...]], warned: str | None
 ) -> None:
     path = ending(kit, tmp_path, *last)
-    assert (
-        main(["policy", "import", str(path), *OPTIONS, "--clip", "--out", str(tmp_path / "policy.onnx")]) == 0
-    )
+    adopt(path, tmp_path / "policy.onnx", "--clip")
     printed = capsys.readouterr().out
     assert ("warning" in printed) == (warned is not None)
     assert warned is None or (warned in printed and "use --output-range -1,1 instead of --clip" in printed)
@@ -314,7 +319,7 @@ def test_freeze_warns_when_outputs_lie_beyond_the_range_that_is_told(
     kit: Kit, tmp_path: Path, capsys: Capture, last: list[tuple[Any, ...]], asked: str, words: str | None
 ) -> None:
     path, out = ending(kit, tmp_path, *last), tmp_path / "policy.onnx"
-    assert main(["policy", "import", str(path), *OPTIONS, "--output-range", asked, "--out", str(out)]) == 0
+    adopt(path, out, "--output-range", asked)
     printed = capsys.readouterr().out
     assert ("warning: the Clip holds motors at 0 or full" in printed) == (words is not None)
     assert words is None or words in printed
@@ -367,7 +372,7 @@ def test_weights_are_refused_when_a_link_leads_out_of_the_folder(
     (folder / "weights").unlink()
     (folder / "kept").write_bytes((elsewhere / "weights").read_bytes())
     (folder / "weights").symlink_to("kept")  # within the folder it may lead
-    assert main(["policy", "import", str(folder / "model.onnx"), *OPTIONS, "--out", str(out)]) == 0
+    adopt(folder / "model.onnx", out)
 
 
 def test_refusal_asks_for_the_mean_when_outputs_are_twice_the_motors(
@@ -478,9 +483,7 @@ def test_weights_are_embedded_when_they_lie_beside_the_model(kit: Kit, tmp_path:
     path = with_data_beside(kit, tmp_path, location=location)
     policy, changes = import_onnx(path, out, CLAIMS, clip=False)
     assert changes[0].startswith(f"took the weights out of '{location}'")
-    observation = kit.observations(20, 6)
-    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
-    np.testing.assert_array_equal(evaluate(read_policy(out).network, observation), expected)
+    assert_same(read_policy(out).network, kit)
     assert policy.source_sha256 == read_policy(out).source_sha256
 
 
@@ -510,14 +513,10 @@ def test_model_is_refused_when_its_weights_beside_it_are_not_sound(
 
 
 def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
-    chain = kit.mlp((6, 8, 4))
-    network = parse_policy(chain.data()).network
-    source = foreign(chain, two_outputs)
+    source = foreign(kit.mlp((6, 8, 4)), two_outputs)
     data, changes = imported_model(source, CLAIMS, clip=False, output="act")
     assert changes[0] == "kept the output 'act', dropped 1 other(s) and 1 node(s)"
-    observation = kit.observations(20, 6)
-    imported = parse_policy(data).network
-    np.testing.assert_array_equal(evaluate(imported, observation), evaluate(network, observation))
+    assert_same(parse_policy(data).network, kit)
     with pytest.raises(PolicyError, match="no output 'motors', its outputs are 'act', 'value'"):
         imported_model(source, CLAIMS, clip=False, output="motors")
 
@@ -565,9 +564,7 @@ def test_model_is_adopted_when_a_value_has_the_actions_name_or_the_width_is_open
     kit: Kit, edit: Callable[[onnx.GraphProto], object]
 ) -> None:
     data, _ = imported_model(foreign(kit.mlp((6, 8, 4)), edit), CLAIMS, clip=True)
-    observation = kit.observations(20, 6)
-    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
-    np.testing.assert_array_equal(evaluate(parse_policy(data).network, observation), expected)
+    assert_same(parse_policy(data).network, kit)
 
 
 def two_parts(kit: Kit, first: int = 3) -> bytes:
@@ -594,7 +591,7 @@ def test_inputs_are_joined_in_the_order_told_when_there_are_two(
         ([], "'gyro' and 'command' (the model's, --input-order names another): 'gyro' takes {}; 'command'"),
         (["--input-order", "command,gyro"], "'command' and 'gyro' (as told): 'command' takes {}; 'gyro'"),
     ):
-        assert main(["policy", "import", str(source), *OPTIONS, *order, "--out", str(out)]) == 0
+        adopt(source, out, *order)
         line = f"joined the inputs {words.format('rate_error')} takes rate_error_delta"
         assert line in capsys.readouterr().out.splitlines()
         given = np.roll(observation, 3, axis=1) if order else observation
@@ -642,16 +639,11 @@ def test_input_is_a_constant_when_it_is_told_so(kit: Kit, tmp_path: Path, capsys
         ("dones=0", "--constant: the model has no input 'dones', its inputs are 'obs', 'episode_starts'"),
     ):
         assert words in refused([str(source), *OPTIONS, "--constant", text, "--out", str(out)], capsys)
-    assert (
-        main(["policy", "import", str(source), *OPTIONS, "--constant", "episode_starts=0", "--out", str(out)])
-        == 0
-    )
+    adopt(source, out, "--constant", "episode_starts=0")
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "took 0 for the input 'episode_starts' throughout"
     assert printed[-3].startswith("compared with onnxruntime on the model itself")
-    observation = kit.observations(20, 6)
-    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
-    np.testing.assert_array_equal(evaluate(read_policy(out).network, observation), expected)
+    assert_same(read_policy(out).network, kit)
 
 
 def test_model_is_refused_when_it_draws_random_numbers(kit: Kit) -> None:
@@ -707,9 +699,7 @@ def test_what_the_action_does_not_need_is_dropped_and_told(
 ) -> None:
     data, changes = imported_model(foreign(kit.mlp((6, 8, 4)), edit), CLAIMS, clip=False)
     assert words in changes
-    observation = kit.observations(20, 6)
-    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
-    np.testing.assert_array_equal(evaluate(parse_policy(data).network, observation), expected)
+    assert_same(parse_policy(data).network, kit)
 
 
 def test_old_opset_is_refused_with_the_converters_words_when_it_cannot_be_converted(kit: Kit) -> None:

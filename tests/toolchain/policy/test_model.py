@@ -139,46 +139,32 @@ def test_policy_is_refused_when_its_model_is_that_of_no_aircraft(kit: Kit, model
     assert refusal(estimating(kit, model).data()).startswith(text)
 
 
-def plain(kit: Kit) -> tuple[Chain, np.random.Generator]:
-    return kit.chain(), np.random.default_rng(0)
+RNG = np.random.default_rng(0)
+ACCEPTED: dict[str, Callable[[Kit], Chain]] = {
+    "Gemm with options": lambda kit: kit.chain().add(
+        "Gemm", kit.weights(RNG, 6, 4), kit.weights(RNG, 4), alpha=0.3, beta=2.0
+    ),
+    "Gemm without bias": lambda kit: kit.chain().add("Gemm", kit.weights(RNG, 6, 4)),
+    "MatMul": lambda kit: (
+        kit.chain().add("MatMul", kit.weights(RNG, 6, 4)).add("Add", kit.weights(RNG, 1, 4))
+    ),
+    "arithmetic": lambda kit: (
+        kit.chain()
+        .add("Sub", np.float32(0.25)).add("Div", np.full(6, 3, np.float32)).add("Mul", kit.weights(RNG, 6))
+        .add("Sub", np.float32(0.5), first=False).add("Mul", np.float32(2), first=False)
+        .add("MatMul", kit.weights(RNG, 6, 4)).add("Add", np.float32(0.3), first=False)
+    ),
+    "identities": lambda kit: (
+        kit.chain()
+        .add("Identity").add("Flatten").add("Gemm", kit.weights(RNG, 4, 6), transB=1)
+        .add("Flatten", axis=0).add("Tanh").add("Relu")
+    ),
+}  # fmt: skip
 
 
-def with_gemm_options(kit: Kit) -> Chain:
-    chain, rng = plain(kit)
-    return chain.add("Gemm", kit.weights(rng, 6, 4), kit.weights(rng, 4), alpha=0.3, beta=2.0).clip()
-
-
-def with_gemm_without_bias(kit: Kit) -> Chain:
-    chain, rng = plain(kit)
-    return chain.add("Gemm", kit.weights(rng, 6, 4)).clip()
-
-
-def with_matmul(kit: Kit) -> Chain:
-    chain, rng = plain(kit)
-    return chain.add("MatMul", kit.weights(rng, 6, 4)).add("Add", kit.weights(rng, 1, 4)).clip()
-
-
-def with_arithmetic(kit: Kit) -> Chain:
-    chain, rng = plain(kit)
-    chain.add("Sub", np.float32(0.25)).add("Div", np.full(6, 3, np.float32)).add("Mul", kit.weights(rng, 6))
-    chain.add("Sub", np.float32(0.5), first=False).add("Mul", np.float32(2), first=False)
-    return chain.add("MatMul", kit.weights(rng, 6, 4)).add("Add", np.float32(0.3), first=False).clip()
-
-
-def with_identities(kit: Kit) -> Chain:
-    chain, rng = plain(kit)
-    chain.add("Identity").add("Flatten").add("Gemm", kit.weights(rng, 4, 6), transB=1)
-    return chain.add("Flatten", axis=0).add("Tanh").add("Relu").clip()
-
-
-ACCEPTED = [with_gemm_options, with_gemm_without_bias, with_matmul, with_arithmetic, with_identities]
-
-
-@pytest.mark.parametrize("make", ACCEPTED, ids=lambda f: f.__name__)
-def test_policy_computes_what_onnxruntime_does_when_its_operators_are_known(
-    kit: Kit, make: Callable[[Kit], Chain]
-) -> None:
-    data = make(kit).data()
+@pytest.mark.parametrize("name", ACCEPTED)
+def test_policy_computes_what_onnxruntime_does_when_its_operators_are_known(kit: Kit, name: str) -> None:
+    data = ACCEPTED[name](kit).clip().data()
     observation = np.random.default_rng(1).normal(size=(200, 6)).astype(np.float32)
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     expected = np.concatenate([session.run(None, {"observation": row[None]})[0] for row in observation])
@@ -359,19 +345,17 @@ def test_policy_is_refused_by_key_when_its_metadata_make_no_sense(kit: Kit, key:
     assert len(message) < 400
 
 
-def test_policy_is_refused_when_a_low_pass_is_none_at_its_rate(kit: Kit) -> None:
+@pytest.mark.parametrize(
+    ("observation", "words"),
+    [
+        ("rate_error,rate~500Hz", "observation 'rate~500Hz': a low-pass at 500 Hz, expected"),
+        ("rate_error", "takes 6 values, but its blocks rate_error make 3 with 4 motors"),
+    ],
+)
+def test_policy_is_refused_when_its_observation_is_none(kit: Kit, observation: str, words: str) -> None:
     chain = kit.mlp()
-    chain.metadata["neuroflight.observation"] = "rate_error,rate~500Hz"
-    message = refusal(chain.data())
-    assert message.startswith(
-        "neuroflight.observation: observation 'rate~500Hz': a low-pass at 500 Hz, expected"
-    )
-
-
-def test_policy_is_refused_when_its_blocks_make_another_width(kit: Kit) -> None:
-    chain = kit.mlp()
-    chain.metadata["neuroflight.observation"] = "rate_error"
-    assert "takes 6 values, but its blocks rate_error make 3 with 4 motors" in refusal(chain.data())
+    chain.metadata["neuroflight.observation"] = observation
+    assert words in refusal(chain.data())
 
 
 def test_reader_never_crashes_when_bytes_are_damaged(kit: Kit) -> None:

@@ -14,6 +14,7 @@ from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.ir.interpreter import evaluate
 from neuroflight.toolchain.policy.import_onnx import PolicyClaims, imported_model
 from neuroflight.toolchain.policy.model import parse_policy
+from tests.sampling import examples
 
 CLAIMS = PolicyClaims("rate_error,rate_error_delta", 1000, "[]", "nf1", "ab" * 32, 4)
 TOLERANCE = 1e-6
@@ -38,7 +39,7 @@ def scaled(rng: np.random.Generator, count: int, kind: int = TensorProto.FLOAT) 
 @pytest.mark.parametrize("kind", [TensorProto.FLOAT, TensorProto.DOUBLE])
 def test_a_scaler_is_read_when_it_has_one_value_or_a_value_an_input(kind: int) -> None:
     rng = np.random.default_rng(3)
-    for number in range(200):
+    for number in range(examples(200)):
         data = scaled(rng, rng.choice([1, 6]), kind).SerializeToString()
         observation = rng.normal(0, 3, (20, 6)).astype(np.float32)
         (expected,) = onnxruntime.InferenceSession(data).run(None, {"x": observation})

@@ -12,17 +12,8 @@ import onnxruntime
 import pytest
 from numpy.typing import NDArray
 
+from neuroflight.toolchain.ir import operations as op
 from neuroflight.toolchain.ir.interpreter import evaluate
-from neuroflight.toolchain.ir.operations import (
-    Affine,
-    Clip,
-    Erf,
-    LayerNorm,
-    RmsNorm,
-    Silu,
-    Softplus,
-    Softsign,
-)
 from neuroflight.toolchain.policy.model import parse_policy
 from neuroflight.toolchain.reader.operators import KNOWN
 
@@ -269,18 +260,18 @@ def test_policy_computes_what_onnxruntime_does_when_its_operators_are_known(kit:
 @pytest.mark.parametrize(
     ("name", "operation", "count"),
     [
-        ("SiLU", Silu, 4),
-        ("Softsign in parts", Softsign, 3),
-        ("the norm in parts", LayerNorm, 4),
-        ("the norm in other parts", LayerNorm, 4),
-        ("the norm as TensorFlow has it", LayerNorm, 4),
-        ("the norm as TensorFlow has it, with an offset", LayerNorm, 4),
-        ("the norm as Flax has it", LayerNorm, 6),
-        ("the RMS norm in parts", RmsNorm, 6),
-        ("the RMS norm in other parts", RmsNorm, 6),
-        ("Softplus with its threshold", Softplus, 4),
-        ("GELU in parts", Erf, 7),
-        ("BatchNormalization", Affine, 3),
+        ("SiLU", op.Silu, 4),
+        ("Softsign in parts", op.Softsign, 3),
+        ("the norm in parts", op.LayerNorm, 4),
+        ("the norm in other parts", op.LayerNorm, 4),
+        ("the norm as TensorFlow has it", op.LayerNorm, 4),
+        ("the norm as TensorFlow has it, with an offset", op.LayerNorm, 4),
+        ("the norm as Flax has it", op.LayerNorm, 6),
+        ("the RMS norm in parts", op.RmsNorm, 6),
+        ("the RMS norm in other parts", op.RmsNorm, 6),
+        ("Softplus with its threshold", op.Softplus, 4),
+        ("GELU in parts", op.Erf, 7),
+        ("BatchNormalization", op.Affine, 3),
     ],
 )
 def test_pattern_is_one_operation_when_it_is_written_in_parts(
@@ -300,14 +291,14 @@ def test_nothing_is_computed_when_values_stay_where_they_are(kit: Kit, name: str
 
 def test_swish_is_read_when_the_opset_has_it(kit: Kit) -> None:
     data = kit.graph("x = Swish(observation) " + END, CONSTANTS, 24)
-    assert parse_policy(data).network.nodes[0].operation == Silu()
+    assert parse_policy(data).network.nodes[0].operation == op.Silu()
 
 
 @pytest.mark.parametrize("name", [name for name in ACCEPTED if name.startswith("a network that ends")])
 def test_clip_is_added_when_the_last_activation_is_bounded(kit: Kit, name: str) -> None:
     network = parse_policy(kit.graph(ACCEPTED[name], CONSTANTS, 16)).network
-    assert network.nodes[-1].operation == Clip(0.0, 1.0)
-    assert not isinstance(network.nodes[-2].operation, Clip)
+    assert network.nodes[-1].operation == op.Clip(0.0, 1.0)
+    assert not isinstance(network.nodes[-2].operation, op.Clip)
 
 
 def test_page_names_every_operator_when_it_is_read() -> None:

@@ -28,6 +28,7 @@ from onnxruntime.transformers.float16 import convert_float_to_float16
 from neuroflight.cli.main import main
 from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.policy.model import parse_policy, read_policy
+from tests.sampling import sampled
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
@@ -178,7 +179,7 @@ FILES: dict[str, tuple[Callable[[], bytes], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", sampled(FILES, *(name for name in FILES if name != "pt2")))
 def test_file_is_called_what_it_is_when_it_is_no_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:

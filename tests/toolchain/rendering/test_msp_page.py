@@ -2,20 +2,45 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 
 import pytest
 
 from neuroflight.cli.main import parse
 from neuroflight.cli.tree import COMMANDS
-from neuroflight.toolchain.contract import LAYOUTS, Msp
-from neuroflight.toolchain.rendering.msp_page import EXAMPLES, commands, msp_page
+from neuroflight.toolchain import contract
+from neuroflight.toolchain.contract import LAYOUTS, Msp, Refusal
+from neuroflight.toolchain.rendering.msp_page import commands, msp_tables
+from tests.reference import FOLDER
+
+PAGE = (FOLDER / "msp.md").read_text()
+TOLD = (  # in sentences by hand
+    f"versions 1 and 2, API {contract.MSP_API_MAJOR}.{contract.MSP_API_MINOR},",
+    {2: "Two"}[contract.MSP_PORT_COUNT] + " peers are served at once",
+    f"no motor above {100 * contract.MOTOR_TEST_MAX:g} %, the sum of all not above "
+    f"{100 * contract.MOTOR_TEST_SUM_MAX:g} %;",
+    f"after {contract.MOTOR_TEST_TIMEOUT_MS} ms without one they stop",
+    f"nor above {contract.MSP_STREAM_RATE_MAX_HZ} Hz",
+    f"where bit {contract.ARMING_FLAG_FAILSAFE} besides",
+    f"bit {contract.ARMING_FLAG_SWITCH} for an arm switch",
+)
 
 
 def rows() -> list[list[str]]:
     """Cells of the table of messages."""
-    lines = msp_page().partition("## Messages")[2].splitlines()
-    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line[2:3].isdigit()]
+    lines = msp_tables()["messages"].splitlines()[2:]
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+
+
+@pytest.mark.parametrize("words", TOLD)
+def test_numbers_in_sentences_are_the_contracts(words: str) -> None:
+    assert words in PAGE
+
+
+def test_every_refusal_has_its_row() -> None:
+    told = re.findall(r"^\| `(\w+)` \| (\d+) \|", PAGE.partition("## Refusals")[2], re.MULTILINE)
+    assert told == [(reason.name.lower(), f"{reason:d}") for reason in Refusal]
 
 
 def test_every_message_and_layout_has_a_row_when_rendered() -> None:
@@ -37,7 +62,8 @@ def test_every_row_says_what_comes_and_when_it_may_be_asked() -> None:
 
 
 def test_every_subcommand_has_an_example_that_the_parser_takes() -> None:
-    shown = [shlex.split(words.partition(" > ")[0]) for words, _ in EXAMPLES]
+    lines = re.findall(r"^neuroflight (board .*)$", PAGE, re.MULTILINE)
+    shown = [shlex.split(re.split(r" [>#] ", line)[0]) for line in lines]
     found = {parse([*words, "--port", "/dev/ttyUSB0"]).command for words in shown}
     bench = ("board settings", "board info", "board status", "board tasks", "board stream", "board faults")
     asked = {words for words in COMMANDS if words.startswith((*bench, "board acknowledge", "board reboot"))}
@@ -54,4 +80,4 @@ def test_fields_of_settings_name_what_stands_behind_them() -> None:
 @pytest.mark.parametrize("name", ["help", "diff", "save", "motor", "exit"])
 def test_the_command_line_is_told_as_the_firmware_has_it(name: str) -> None:
     assert name in {command for command, _, _ in commands()}
-    assert f"| `{name}" in msp_page()
+    assert f"| `{name}" in msp_tables()["commands"]

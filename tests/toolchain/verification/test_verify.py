@@ -328,13 +328,15 @@ def test_torch_agrees_when_the_policy_was_frozen_from_the_checkpoint(
 
 
 def test_command_leaves_torch_out_when_asked_although_a_checkpoint_lies_beside(
-    policy: Chain, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    policy: Chain, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(shutil, "which", lambda _name: None)  # no compiler is needed for it
     path = checkpoint(tmp_path / "checkpoint.pt").with_name("policy.onnx")
     path.write_bytes(policy.data())
-    assert main(["policy", "verify", str(path), "--count", "5"]) == 1
+    command = ["policy", "verify", str(path), "--count", "5", "--allow-missing"]
+    assert main(command) == 1
     assert "is the checkpoint the one it was frozen from?" in capsys.readouterr().err
-    assert main(["policy", "verify", str(path), "--count", "5", "--no-torch"]) == 0
+    assert main([*command, "--no-torch"]) == 0
 
 
 def test_command_refuses_a_checkpoint_whose_network_does_not_fit(
@@ -364,12 +366,18 @@ def test_verdict_is_incomplete_when_a_required_tool_is_missing(
     assert "--checkpoint" in reasons["torch"]
 
 
-def test_command_prints_one_document_when_json_is_asked_for(
-    policy: Chain, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def file(policy: Chain, tmp_path: Path) -> Path:
+    """The policy as a file."""
     path = tmp_path / "policy.onnx"
     path.write_bytes(policy.data())
-    assert main(["policy", "verify", str(path), "--count", "20", "--json"]) == 0
+    return path
+
+
+def test_command_prints_one_document_when_json_is_asked_for(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["policy", "verify", str(file), "--count", "20", "--json"]) == 0
     document: dict[str, Any] = json.loads(capsys.readouterr().out)
     assert document["verdict"] == "holds"
     assert document["first_failure"] is None
@@ -379,12 +387,11 @@ def test_command_prints_one_document_when_json_is_asked_for(
 
 
 def test_command_exits_1_with_one_line_when_something_fails(
-    policy: Chain, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "policy.onnx"
-    path.write_bytes(policy.data())
+    monkeypatch.setattr(shutil, "which", lambda _name: None)
     other = checkpoint(tmp_path / "other" / "checkpoint.pt")
-    assert main(["policy", "verify", str(path), "--count", "20", "--json", "--checkpoint", str(other)]) == 1
+    assert main(["policy", "verify", str(file), "--count", "20", "--json", "--checkpoint", str(other)]) == 1
     told = capsys.readouterr()
     failure = json.loads(told.out)["first_failure"]
     assert failure["machine"] == "torch"
@@ -394,17 +401,15 @@ def test_command_exits_1_with_one_line_when_something_fails(
 
 
 def test_command_exits_0_on_a_missing_tool_only_when_that_is_allowed(
-    policy: Chain, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "policy.onnx"
-    path.write_bytes(policy.data())
     monkeypatch.setattr(shutil, "which", lambda _name: None)
-    assert main(["policy", "verify", str(path), "--count", "5"]) == 1
+    assert main(["policy", "verify", str(file), "--count", "5"]) == 1
     told = capsys.readouterr()
     assert told.err.count("\n") == 1
     assert "incomplete: host C, gcc not run: gcc is not installed" in told.err
     assert "Incomplete" in told.out
-    assert main(["policy", "verify", str(path), "--count", "5", "--allow-missing"]) == 0
+    assert main(["policy", "verify", str(file), "--count", "5", "--allow-missing"]) == 0
 
 
 @pytest.mark.parametrize(
@@ -416,11 +421,9 @@ def test_command_exits_0_on_a_missing_tool_only_when_that_is_allowed(
     ],
 )
 def test_command_refuses_in_one_line_when_an_option_is_wrong(
-    policy: Chain, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+    file: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
 ) -> None:
-    path = tmp_path / "policy.onnx"
-    path.write_bytes(policy.data())
-    assert main(["policy", "verify", str(path), "--count", "5", *arguments]) == 1
+    assert main(["policy", "verify", str(file), "--count", "5", *arguments]) == 1
     told = capsys.readouterr()
     assert words in told.err
     assert told.err.count("\n") == 1

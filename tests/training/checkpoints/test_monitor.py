@@ -21,6 +21,11 @@ PPO = PpoConfig(aircraft=8, horizon=16, minibatch=64)
 CONFIG = TrainingConfig(hidden=(8,), task=EpisodicTask(hold_s=0.05), algorithm=PPO)
 
 
+@pytest.fixture(autouse=True)
+def monitor_here() -> None:
+    """Let monitors be where they are asked to be."""
+
+
 def weights(seed: int, bias: float = -0.6) -> dict[str, torch.Tensor]:
     """A policy of CONFIG's shape with outputs of about 0.5 + 0.5 bias."""
     rng = np.random.default_rng(seed)

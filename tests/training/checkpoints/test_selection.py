@@ -53,14 +53,6 @@ def test_the_rule_chooses_among_seeds_the_first_of_equals() -> None:
     assert best_seed({4: metrics(9, 2.0), 5: metrics(7, 1.0, output=0.2)}, LIMITS) == 4
 
 
-@pytest.mark.parametrize(
-    "limits", [{"output": 0.0}, {"change": -0.01}, {"output": 1.5}, {"change": float("nan")}]
-)
-def test_invalid_limits_are_rejected(limits: dict[str, float]) -> None:
-    with pytest.raises(TrainingError, match=f"selection {next(iter(limits))}"):
-        TrainingConfig(selection=SelectionLimits(**limits))  # type: ignore[arg-type]
-
-
 def test_metrics_are_equal_after_json() -> None:
     before = metrics(5, 1.0 / 3.0)
     assert CheckpointMetrics.of(json.loads(json.dumps(before.document()))) == before
@@ -113,7 +105,6 @@ def test_several_seeds_are_planned_into_folders_of_their_own(tmp_path: Path) -> 
     ("seeds", "seed", "resume", "message"),
     [
         (0, 1, False, "0 seeds, expected 1 to 100"),
-        (101, 1, False, "101 seeds, expected 1 to 100"),
         (2, 2**32 - 1, False, "expected the last to be at most 4294967295"),
         (2, 1, True, "nothing to resume"),
         (1, 1, True, "nothing to resume"),

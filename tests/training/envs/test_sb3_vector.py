@@ -87,16 +87,6 @@ def test_observations_are_scaled_and_actions_mapped_as_the_configuration_says(bu
     assert top[:, 4].std() > 0.01
 
 
-def test_the_same_seed_repeats_a_rollout_exactly(build: Build) -> None:
-    rows = []
-    for seed in (3, 3, 4):
-        env = build(seed=seed)
-        env.reset()
-        rows.append([advance(env, np.full((8, 4), -0.5, np.float32))[0] for _ in range(20)])
-    assert np.array_equal(rows[0], rows[1])
-    assert not np.array_equal(rows[0], rows[2])
-
-
 @dataclass(frozen=True)
 class Excess:
     """The excess of the outputs beyond 0..1."""
@@ -141,19 +131,6 @@ def test_every_episode_of_the_public_one_is_whole(public: AttitudeVecEnv) -> Non
             assert infos[i]["TimeLimit.truncated"] is True
             assert not np.array_equal(infos[i]["terminal_observation"], observation[i])
         assert done.any() or not any(infos)
-
-
-def test_a_seed_repeats_the_flights_of_the_public_one(public: AttitudeVecEnv) -> None:
-    def flown(seed: int | None) -> NDArray[np.float32]:
-        if seed is not None:
-            public.seed(seed)
-        return np.array(
-            [public.reset(), *(advance(public, np.ones((3, 4), np.float32))[0] for _ in range(40))]
-        )
-
-    first = flown(5)
-    assert not np.array_equal(first, flown(None))
-    assert np.array_equal(first, flown(5))
 
 
 def test_the_public_one_takes_the_wrappers_and_learners_of_stable_baselines(public: AttitudeVecEnv) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from neuroflight.cli.compare.figures import means_document
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.analysis.metrics import Tracking
@@ -18,11 +19,9 @@ from neuroflight.training.evaluation.comparison import (
     change_percent,
     curves,
     differences,
-    document,
     enter,
     means,
     percent,
-    significant,
 )
 from neuroflight.training.evaluation.comparison_plot import draw_comparison
 from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec, load_controller
@@ -60,8 +59,8 @@ def test_difference_is_the_errors_when_these_stand_still() -> None:
     found = differences(first, other)
     assert float(found["mae"].value) == pytest.approx(2.0 * 1999 / 2000, rel=1e-5)
     assert float(found["mae"].high - found["mae"].low) < 1e-4  # where the means are sure to 0.5
-    assert significant(found["mae"])
-    assert not significant(found["output"])
+    assert found["mae"].significant
+    assert not found["output"].significant
     assert float(found["steady_bare"].value) == 0.0
 
 
@@ -72,17 +71,7 @@ def test_difference_of_shares_counts_the_commands_that_one_of_them_loses() -> No
     found = differences(scores(off_by(errors)), scores(off_by(worse)))
     for name in ("success", "all_in_band_500", "steady", "steady_bare"):
         assert float(found[name].value) == pytest.approx(-0.25)
-        assert significant(found[name])
-
-
-def test_difference_is_found_significant_one_time_in_twenty_when_there_is_none() -> None:
-    rng = np.random.default_rng(4)
-    marks = []
-    for _ in range(4000):
-        command = rng.gamma(2.0, 10.0, 30)
-        one, two = (figures(command + rng.normal(0.0, 1.0, 30), np.zeros(30)) for _ in range(2))
-        marks.append(significant(differences(one, two)["mae"]))
-    assert np.mean(marks) == pytest.approx(0.05, abs=0.01)
+        assert found[name].significant
 
 
 def test_percent_is_exact_and_sure_when_every_error_is_a_quarter_less() -> None:
@@ -118,8 +107,8 @@ def test_means_are_those_of_the_axes_when_they_differ() -> None:
 def test_document_has_a_difference_only_when_there_is_another_to_differ_from() -> None:
     flown = Conditions(NF1, EnvelopeTask(), episodes=3, seed=2)
     first, other = (enter(constant(level), flown, 0.0) for level in (0.1, 0.3))
-    assert set(document(first, None)) == {"means"}
-    told = document(other, first)
+    assert set(means_document(first, first)) == {"means"}
+    told = means_document(other, first)
     difference = told["difference"]
     assert isinstance(difference, dict)
     assert difference["output"]["value"] == pytest.approx(0.2)
@@ -132,7 +121,7 @@ def test_entries_fly_the_same_commands_and_noise_when_compared() -> None:
     one, two = (flown.fly(load_controller("pid:tuned", NF1), 0.0) for _ in range(2))
     assert np.array_equal(one.rate, two.rate)
     found = differences(scores(one), scores(two))
-    assert not any(significant(mean) for mean in found.values())
+    assert not any(mean.significant for mean in found.values())
 
 
 def test_curves_are_percentiles_over_the_commands() -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from neuroflight.cli.compare.figures import envelope_document
 from neuroflight.cli.main import main
-from neuroflight.training.evaluation.envelope import Envelope, by_magnitude, envelope_document
+from neuroflight.training.evaluation.envelope import Envelope, by_magnitude
 
 COMMANDS = np.array([[100.0, 0, 0], [0, -300.0, 0], [0, 300.0, 400.0], [0, 0, 1900.0]])
 

@@ -1,8 +1,8 @@
 """Evaluation of flights whose figures are known."""
 
-from dataclasses import dataclass
+from contextlib import closing
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +22,7 @@ from neuroflight.training.envs.simulation import AttitudeSimulation
 from neuroflight.training.evaluation.controllers import Conditions, load_controller
 from neuroflight.training.evaluation.evaluation import Flights, figures, record, scores
 from neuroflight.training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
+from tests.given_task import Given
 
 NF1 = load_aircraft("nf1")
 
@@ -178,22 +179,6 @@ def test_a_loaded_policy_flies_with_its_own_mix_filter_and_idle(estimating_polic
     assert np.abs(seen.rate - flown(estimating_policy).rate).max() < 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class Given:
-    """Episodes that are given."""
-
-    name: ClassVar[str] = "given"
-    setpoint: NDArray[np.float32]  # (E, T, 3) [rad/s], at 1 kHz
-
-    @property
-    def duration_s(self) -> float:
-        return len(self.setpoint[0]) / 1000
-
-    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> NDArray[np.float32]:
-        assert (count, rate_hz) == (len(self.setpoint), 1000)
-        return self.setpoint
-
-
 def test_an_estimating_policy_flies_the_same_in_training_and_evaluation(estimating_policy: Path) -> None:
     model = read_policy(estimating_policy)
     evaluated = flown(estimating_policy, noise=False, throttle=0.0)
@@ -205,17 +190,14 @@ def test_an_estimating_policy_flies_the_same_in_training_and_evaluation(estimati
         task=Given(evaluated.setpoint),
         world=WorldConfig(noise=False),
     )
-    simulation = AttitudeSimulation(NF1, 3, config=config, rng=np.random.default_rng(7))
     network, _ = optimize(model.network)
     rates, outputs = [], []
-    try:
+    with closing(AttitudeSimulation(NF1, 3, config=config, rng=np.random.default_rng(7))) as simulation:
         observation, state = simulation.reset(), clear_state(network, 3)
         for _ in range(simulation.steps):
             rates.append(simulation.rate.copy())
             action, state = advance(network, observation, state, exact=True)
             outputs.append(action)
             observation = simulation.step(action).observation
-    finally:
-        simulation.close()
     assert np.array(outputs).swapaxes(0, 1).tobytes() == evaluated.output.tobytes()
     assert np.array_equal(np.array(rates, np.float32).swapaxes(0, 1), evaluated.rate)

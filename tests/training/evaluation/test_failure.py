@@ -1,6 +1,7 @@
 """Changes in flight: what the twin does, and what is read from a flight."""
 
 import math
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -29,8 +30,7 @@ def turned(flown: Twin, steps: int) -> np.ndarray:
 
 
 def test_aircraft_turns_to_the_dead_motor_and_it_runs_down_when_it_fails() -> None:
-    flown = twin()
-    try:
+    with closing(twin()) as flown:
         level = turned(flown, 500)
         flown.weaken(np.array([0.0, 1.0, 1.0, 1.0]))
         after = turned(flown, 100)
@@ -39,19 +39,14 @@ def test_aircraft_turns_to_the_dead_motor_and_it_runs_down_when_it_fails() -> No
         assert after[1] < -math.radians(100)
         turned(flown, 500)
         assert flown.rotor_speed[0, 0] < 1.0 < flown.rotor_speed[0, 1]
-    finally:
-        flown.close()
 
 
 def test_half_the_thrust_is_lost_when_a_motor_loses_half() -> None:
-    flown = twin()
-    try:
+    with closing(twin()) as flown:
         flown.weaken(np.array([0.5, 1.0, 1.0, 1.0]))
         turned(flown, 1000)
         weak, strong = flown.rotor_speed[0, :2]
         assert (weak / strong) ** 2 == pytest.approx(0.5, rel=1e-3)
-    finally:
-        flown.close()
 
 
 def test_rate_goes_on_and_thrust_tilts_when_a_payload_comes_on() -> None:
@@ -74,14 +69,11 @@ def test_rate_goes_on_and_thrust_tilts_when_a_payload_comes_on() -> None:
 
 
 def test_twin_is_not_loaded_when_it_is_free() -> None:
-    flown = twin(Mount.FREE)
-    try:
+    with closing(twin(Mount.FREE)) as flown:
         with pytest.raises(ValueError, match="held at its centre"):
             flown.load(NF1)
         with pytest.raises(ValueError, match="expected 4 of 0 to 1"):
             flown.weaken(np.array([2.0, 1.0, 1.0, 1.0]))
-    finally:
-        flown.close()
 
 
 def test_recovery_is_timed_from_the_change_to_the_last_step_outside_the_band() -> None:

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from neuroflight.cli.compare.suites.power import drawn_document
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
 from neuroflight.training.evaluation.controllers import Conditions, ControllerSpec
 from neuroflight.training.evaluation.evaluation import drawn as drawn_streams
-from neuroflight.training.evaluation.power import Draw, disarmed, document, power
+from neuroflight.training.evaluation.power import Draw, disarmed, power
 from neuroflight.training.evaluation.power_plot import draw_power
 from neuroflight.training.tasks.task import PulseTask
 from tests.conftest import ROOT
@@ -69,8 +70,7 @@ def test_in_flight_more_thrust_takes_more_current_and_the_error_is_told() -> Non
     commands, _ = drawn_streams(CONDITIONS.seed)
     wanted = np.rad2deg(np.abs(SHORT.episodes(2, commands, 1000))).mean()
     assert float(more.mae.value) == pytest.approx(wanted, rel=0.02)
-    told = document(drawn)
-    assert isinstance(told["flights"], list) and len(told["flights"]) == 2
+    assert [flown["thrust"] for flown in drawn_document(drawn)["flights"]] == [0.5, 1.0]
     assert NF1.battery is not None
     still = disarmed(NF1.battery, 1.0)
     assert len(draw_power(still, [drawn], "title").axes) == 2

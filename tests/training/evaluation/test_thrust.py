@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from neuroflight.cli.compare.thrust import documents, rest_documents
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
 from neuroflight.toolchain.contract import GRAVITY, Mix
@@ -17,12 +18,7 @@ from neuroflight.training.evaluation import equal_thrust as module
 from neuroflight.training.evaluation.comparison import Entry
 from neuroflight.training.evaluation.comparison_plot import draw_comparison
 from neuroflight.training.evaluation.controllers import AnyController, Conditions, ControllerSpec
-from neuroflight.training.evaluation.equal_thrust import (
-    equal_thrust,
-    level_document,
-    over_levels,
-    transparency_document,
-)
+from neuroflight.training.evaluation.equal_thrust import equal_thrust, over_levels
 from neuroflight.training.evaluation.thrust import THROTTLES, Progress, at_rest, transparency, trims
 from neuroflight.training.tasks.task import PulseTask
 from tests.training.evaluation.constant import Constant
@@ -79,7 +75,8 @@ def test_a_transparent_controller_does_not_deviate_and_another_shows_what_it_add
     assert greedy.deviation.motor - greedy.ideal(0.15) == pytest.approx(0.9 * 0.5 * 0.85, abs=5e-4)
     full = transparency(constant(1.0, 0.1), CONDITIONS)  # the throttle changes nothing
     assert full.falls == (THROTTLES[0], THROTTLES[1])
-    document = transparency_document(greedy)
+    told: Any = rest_documents([greedy])
+    document = told["transparency"][0]
     assert document["falls"] is None
     assert document["motor"] == pytest.approx([0.55 + 0.45 * throttle for throttle in THROTTLES], abs=5e-4)
 
@@ -118,8 +115,8 @@ def test_a_throttle_that_stands_for_two_thrusts_is_flown_once(monkeypatch: pytes
     assert len(flown) == 2 * 3  # closed and 0.1 are one throttle
     assert len(bars) == 2 * (2 + 3)
     assert [level.wanted for level in found.levels] == [0.0, 0.1, 2.0, 4.0]
-    document: dict[str, Any] = level_document(found.levels[2], lambda entry: {"throttle": entry.throttle})
-    first, second = document["controllers"]
+    document: Any = documents(found)["equal_thrust"]
+    first, second = document[2]["controllers"]
     assert first["thrust_at_rest"]["value"] == pytest.approx(2.0, rel=4e-3)
     assert first["throttle"] == found.levels[2].trims[0].rest.throttle
     assert "difference" not in first

@@ -18,8 +18,9 @@ from neuroflight.training.evaluation.controllers import Conditions, load_control
 from neuroflight.training.evaluation.users_controller import load_users_controller, values_text
 from neuroflight.training.pid_tuning import users_tuning
 from neuroflight.training.pid_tuning.cma_es import CmaEs
+from neuroflight.training.pid_tuning.trial import Tuning
 from neuroflight.training.pid_tuning.tuner import MakeTuner, load_tuner
-from neuroflight.training.pid_tuning.users_tuning import Tuning, tune_users
+from neuroflight.training.pid_tuning.users_tuning import Values, tune_users
 from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
@@ -117,8 +118,6 @@ def test_values_come_from_a_file_within_their_ranges(tmp_path: Path) -> None:
     [
         (("class Rates", "class Other"), r"expected .*mine\.py:CLASS, a class of that file: Other"),
         (("def step", "def fly"), r"has no step\(\), expected reset\(\) and step\(\)"),
-        (('"centred"', '"upside-down"'), "mix 'upside-down', expected one of: "),
-        (("0.055", "0.9"), r"idle 0\.9, expected 0 to 0\.5"),
         (
             ("(0.001, 0.0001, 0.01)", "0.001"),
             r"parameters\['p'\] 0\.001, expected \(start, least, greatest\)",
@@ -153,7 +152,7 @@ def test_outputs_are_limited_and_inputs_are_its_own(tmp_path: Path) -> None:
 
 def tuned(
     path: Path, monkeypatch: pytest.MonkeyPatch, budget: int, names: Sequence[str], tuner: MakeTuner = CmaEs
-) -> Tuning:
+) -> Tuning[Values]:
     """Return what a short search finds: on a third of the commands."""
     monkeypatch.setattr(users_tuning, "COMMANDS", 4)
     mine = load_users_controller(f"{path}:Rates")
@@ -166,14 +165,14 @@ def test_its_parameters_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     path = written(tmp_path, RATES)
     found = tuned(path, monkeypatch, 12, ["p", "d"])
     assert len(found.trials) == 12
-    assert found.start.values == {"p": 0.001, "d": 1e-5}
+    assert found.start.settings == {"p": 0.001, "d": 1e-5}
     assert found.best.cost < 0.9 * found.start.cost
     assert found.best.mae < found.start.mae
-    assert all(0.0001 <= trial.values["p"] <= 0.01 for trial in found.trials)
+    assert all(0.0001 <= trial.settings["p"] <= 0.01 for trial in found.trials)
     # Each flies as it would alone: the candidates of a generation do not touch each other.
     values = tmp_path / "gains.toml"
-    values.write_text(values_text(found.best.values, "found"))
-    assert load_users_controller(f"{path}:Rates:{values}").values == found.best.values
+    values.write_text(values_text(found.best.settings, "found"))
+    assert load_users_controller(f"{path}:Rates:{values}").values == found.best.settings
     assert found.best in found.trials
 
 
@@ -182,9 +181,9 @@ def test_a_tuner_of_the_users_searches_some_parameters(
 ) -> None:
     grid = load_tuner(f"{written(tmp_path, GRID, 'grid.py')}:Grid")
     found = tuned(written(tmp_path, RATES), monkeypatch, 4, ["p"], grid)
-    assert {trial.values["d"] for trial in found.trials} == {1e-5}
+    assert {trial.settings["d"] for trial in found.trials} == {1e-5}
     tried = [0.0001 * 100 ** (0.5 + 0.2 * at) for at in (-1.0, 0.0, 1.0, 2.0)]
-    assert np.allclose([trial.values["p"] for trial in found.trials], tried, rtol=1e-3)
+    assert np.allclose([trial.settings["p"] for trial in found.trials], tried, rtol=1e-3)
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,27 @@ def train(out: Path, *words: str) -> int:
     return main([*WORDS, "--steps", "512", "--out", str(out), *words])
 
 
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run whose check was interrupted: all that a test does is check it anew."""
+    out = tmp_path_factory.mktemp("trained") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+
+        def check(*_: object) -> Verdict:
+            raise KeyboardInterrupt
+
+        patch.setattr(neuroflight.training.fitness.ending, "check", check)
+        patch.setattr(neuroflight.training.fitness.references, "References", NoReferences)
+        assert train(out) == 130
+    return out
+
+
+@pytest.fixture
+def run(trained: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run."""
+    return shutil.copytree(trained, tmp_path / "run")
+
+
 def by_rule(out: Path) -> list[int]:
     """Steps of the checkpoints, best first: these of a test keep no limits, so by MAE times the excesses."""
     readings = json.loads((out / "monitor.json").read_text())["readings"]
@@ -94,41 +116,42 @@ def stamp_holds(out: Path) -> bool:
     return stamp.fit
 
 
-def test_the_chosen_checkpoint_stays_when_it_is_fit(tmp_path: Path, judge: Judge, capsys: Capture) -> None:
+def test_an_interruption_of_the_check_leaves_the_run_without_a_stamp(run: Path) -> None:
+    assert read_stamp(run / "policy.onnx") is None
+    assert chosen(run) == (by_rule(run)[0],) * 3
+
+
+def test_the_chosen_checkpoint_stays_when_it_is_fit(run: Path, judge: Judge, capsys: Capture) -> None:
     checked = judge({0})
-    assert train(tmp_path) == 0
-    assert len(checked) == 1 and stamp_holds(tmp_path)
-    assert chosen(tmp_path) == (by_rule(tmp_path)[0],) * 3
+    assert train(run, "--resume") == 0
+    assert len(checked) == 1 and stamp_holds(run)
+    assert chosen(run) == (by_rule(run)[0],) * 3
     assert "policy.onnx is fit to fly nf1: 1 of 1 bars met" in capsys.readouterr().out
 
 
-def test_it_goes_back_to_the_best_checkpoint_that_is_fit(
-    tmp_path: Path, judge: Judge, capsys: Capture
-) -> None:
+def test_it_goes_back_to_the_best_checkpoint_that_is_fit(run: Path, judge: Judge, capsys: Capture) -> None:
     checked = judge({2})
-    assert train(tmp_path) == 0
-    steps = by_rule(tmp_path)
+    assert train(run, "--resume") == 0
+    steps = by_rule(run)
     assert len(steps) == 4 and len(checked) == len(set(checked)) == 3
-    assert chosen(tmp_path) == (steps[2],) * 3 and stamp_holds(tmp_path)
-    assert read_policy(tmp_path / "policy.onnx").source_sha256 == checked[2]
+    assert chosen(run) == (steps[2],) * 3 and stamp_holds(run)
+    assert read_policy(run / "policy.onnx").source_sha256 == checked[2]
     out = capsys.readouterr().out
     assert f"not fit to fly: seed 1, {steps[0]:,} steps: swings at 65 Hz" in out
     assert f"went back to: seed 1, {steps[2]:,} steps" in out
     # A finished run is checked again, the checkpoint that was left first: all of them are still there.
     again = judge({3})
-    assert train(tmp_path, "--resume", "--json") == 0
-    assert chosen(tmp_path) == (steps[3],) * 3
+    assert train(run, "--resume", "--json") == 0
+    assert chosen(run) == (steps[3],) * 3
     assert again[:3] == checked
     assert json.loads(capsys.readouterr().out)["check"]["rejected"][0]["reasons"]
 
 
-def test_it_ends_with_an_error_when_no_checkpoint_is_fit(
-    tmp_path: Path, judge: Judge, capsys: Capture
-) -> None:
+def test_it_ends_with_an_error_when_no_checkpoint_is_fit(run: Path, judge: Judge, capsys: Capture) -> None:
     checked = judge(set())
-    assert train(tmp_path) == 1
-    assert len(checked) == 4 and not stamp_holds(tmp_path)
-    assert chosen(tmp_path) == (by_rule(tmp_path)[0],) * 3
+    assert train(run, "--resume") == 1
+    assert len(checked) == 4 and not stamp_holds(run)
+    assert chosen(run) == (by_rule(run)[0],) * 3
     out = capsys.readouterr().out
     assert "no checkpoint of 4 is fit to fly" in out and "is NOT fit to fly nf1" in out
 
@@ -151,20 +174,3 @@ def test_a_recipe_that_is_not_to_be_flown_ends_well_and_says_the_command(
     assert not checked and read_stamp(tmp_path / "policy.onnx") is None
     command = f"neuroflight policy check {tmp_path / 'policy.onnx'} --aircraft nf1"
     assert f"not checked; to fly it: {command}" in capsys.readouterr().out
-
-
-def test_an_interruption_of_the_check_leaves_the_run_without_a_stamp(
-    tmp_path: Path, judge: Judge, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    judge(set())
-
-    def check(*_: object) -> Verdict:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(neuroflight.training.fitness.ending, "check", check)
-    assert train(tmp_path) == 130
-    assert read_stamp(tmp_path / "policy.onnx") is None
-    assert chosen(tmp_path) == (by_rule(tmp_path)[0],) * 3
-    checked = judge({0})
-    assert train(tmp_path, "--resume") == 0
-    assert len(checked) == 1 and stamp_holds(tmp_path)

@@ -1,5 +1,6 @@
 """Distributions that PPO draws from."""
 
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -18,7 +19,6 @@ from neuroflight.toolchain.policy.model import parse_policy
 from neuroflight.training.config.algorithms import PpoConfig
 from neuroflight.training.config.training_config import OutputMap, TrainingConfig
 from neuroflight.training.learners.exploration import BetaExploration, NormalExploration, concentration
-from neuroflight.training.learners.protocol import Report
 from neuroflight.training.learners.sb3 import Sb3Learner
 from neuroflight.training.runs.make_learner import make_learner
 from neuroflight.training.tasks.reward import Transition
@@ -106,18 +106,12 @@ class Low:
 def test_beta_policy_learns_and_is_frozen_as_its_mode_for_the_compiler() -> None:
     config = replace(CONFIG, reward=Low())
     torch.set_num_threads(1)
-    learner, rewards = make_learner(NF1, config), list[float]()
-
-    def report(update: Report) -> None:
-        rewards.append(update.reward)
-
-    assert isinstance(learner, Sb3Learner)
-    try:
-        learner.learn(0, report)
+    rewards: list[float] = []
+    with closing(make_learner(NF1, config)) as learner:
+        assert isinstance(learner, Sb3Learner)
+        learner.learn(0, lambda update: rewards.append(update.reward))
         model: Any = learner._model
         actor, frozen = model.actor, to_onnx(config.document(NF1), learner.policy())
-    finally:
-        learner.close()
     assert rewards[0] < -0.35  # a fresh network gives about a half
     assert rewards[-1] > -0.2, rewards
     raw = np.random.default_rng(3).normal(0.0, 1.0, (20, 6)).astype(np.float32)
@@ -133,7 +127,6 @@ def test_beta_policy_learns_and_is_frozen_as_its_mode_for_the_compiler() -> None
 @pytest.mark.parametrize(
     ("options", "output", "message"),
     [
-        ({"distribution": "gamma"}, SQUASHED, "distribution 'gamma', expected one of: normal, beta"),
         ({"log_std": (-0.5, -1.0)}, SQUASHED, r"log_std \[-0.5, -1.0\], expected at most -0.549"),
         ({}, OutputMap(), "output.squash false, expected true: a beta distribution"),
     ],

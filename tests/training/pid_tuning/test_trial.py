@@ -12,9 +12,8 @@ from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.control.pid_table import mixer, pid_settings
 from neuroflight.training.evaluation.evaluation import Flights, record
 from neuroflight.training.pid_tuning.dissertation import DissertationTrials
-from neuroflight.training.pid_tuning.trial import Limits, Pulses, held_commands, throttles, training_commands
-from neuroflight.training.pid_tuning.ultimate_gain import Steps
-from neuroflight.training.tasks.task import PulseTask
+from neuroflight.training.pid_tuning.trial import Limits, held_commands, throttles, training_commands
+from neuroflight.training.tasks.task import EpisodicTask, GivenCommands, PulseTask
 
 NF1 = load_aircraft("nf1")
 SETTINGS: PidSettings = replace(
@@ -41,16 +40,16 @@ def test_throttles_are_the_middles_of_equal_parts_in_any_order() -> None:
 def test_figures_are_those_of_its_evaluation() -> None:
     (trial,) = DissertationTrials(NF1, Limits(0.12, 0.5, 0.05), 4, COMMANDS).fly([SETTINGS])
 
-    def flown(task: Pulses | Steps, count: int) -> Flights:
+    def flown(task: GivenCommands, count: int) -> Flights:
         pid = Pid(mixer(NF1), SETTINGS, count, 1000)
         return record(pid, NF1, task, episodes=count, seed=4, control_rate_hz=1000, idle=SETTINGS.idle)
 
-    flights = flown(Pulses(COMMANDS, PulseTask()), 2)
+    flights = flown(GivenCommands(PulseTask(), COMMANDS), 2)
     assert trial.mae == pytest.approx(tracking(flights.setpoint, flights.rate, 1e-3).mae.mean(), rel=1e-3)
     assert trial.output == pytest.approx(effort(flights.output, 1e-3).output, rel=1e-3)
     assert trial.change == pytest.approx(effort(flights.output, 1e-3).change, rel=1e-3)
     held = held_commands()
-    flights = flown(Steps(held, 1.0), len(held))
+    flights = flown(GivenCommands(EpisodicTask(), held), len(held))
     worst = np.rad2deg(np.abs(flights.setpoint - flights.rate)[:, -200:].max(axis=1))
     band = np.maximum(0.1 * np.abs(np.rad2deg(held)), 5.0)
     assert trial.held == pytest.approx((worst / (0.8 * band) - 1).clip(0, 1).mean(), abs=1e-3)

@@ -10,7 +10,8 @@ from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.control.pid_table import mixer
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.evaluation.evaluation import record
-from neuroflight.training.pid_tuning.ultimate_gain import Steps, UltimateGain, ultimate_gains
+from neuroflight.training.pid_tuning.ultimate_gain import UltimateGain, ultimate_gains
+from neuroflight.training.tasks.task import EpisodicTask, GivenCommands
 
 NF1 = load_aircraft("nf1")
 IDLE = 0.1
@@ -36,7 +37,7 @@ def test_oscillation_dies_below_the_ultimate_gain_and_lasts_above(
     flown = record(
         Pid(mixer(NF1), settings, 2, 1000),
         NF1,
-        Steps(command, 2.0),
+        GivenCommands(EpisodicTask(hold_s=2.0), command),
         episodes=2,
         seed=0,
         control_rate_hz=1000,

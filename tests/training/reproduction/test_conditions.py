@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
@@ -49,8 +50,8 @@ def held(known: Experiments) -> Iterator[tuple[ExperimentRow, Result]]:
 def printed(row: str) -> dict[str, Any]:
     """The dissertation's conditions as they stand in the file."""
     found: dict[str, Any] = {}
-    for entry in tomllib.loads(FILE.read_text())["experiment"]:
-        if any(fnmatchcase(row, pattern) for pattern in entry["rows"].split()):
+    for rows, entry in read(FILE)["experiment"].items():
+        if any(fnmatchcase(row, pattern) for pattern in rows.split()):
             found |= entry
     return found
 
@@ -62,6 +63,11 @@ def arguments(known: Experiments, name: str, result: Result) -> Any:
 
 
 @cache
+def read(file: Path) -> dict[str, Any]:
+    return tomllib.loads(file.read_text())
+
+
+@cache
 def _parsed(words: tuple[str, ...]) -> Any:
     return command_line.parse(words)
 
@@ -69,14 +75,14 @@ def _parsed(words: tuple[str, ...]) -> Any:
 def trained(known: Experiments, name: str, result: Result) -> float:
     """Steps of a training: those of its words, or of its recipe."""
     args = arguments(known, name, result)
-    return float(args.steps or tomllib.loads((RECIPES / f"{args.config}.toml").read_text())["steps"])
+    return float(args.steps or read(RECIPES / f"{args.config}.toml")["steps"])
 
 
 def expected(known: Experiments, row: ExperimentRow, result: Result) -> set[str]:
     """Terms in which the command lines of a flown figure are not as the file of conditions has it."""
     args, his = arguments(known, result.figure.ours.step, result), printed(row.name)
     found = set()
-    aircraft = tomllib.loads(FILE.read_text())["aircraft"][Path(args.aircraft).stem]
+    aircraft = read(FILE)["aircraft"][Path(args.aircraft).stem]
     if aircraft.get("differs") or aircraft["of"] != his["aircraft"]:
         found.add("aircraft")
     length = args.length or (60.0 if args.commands else TASKS[args.task or "flight"]().duration_s)
@@ -103,21 +109,20 @@ def learnt_by(known: Experiments, result: Result, source: Source) -> tuple[set[f
     path = source.path
     if "comparison[0]" in path:
         return set(), set()
-    trainings = [name for name in known.steps[source.step].needs if name in training_steps(known)]
+    trainings = [name for name in known.steps[source.step].needs if name in training_steps()]
     if not trainings or "controllers[1]" in path or "comparison[2]" in path:
         told = json.loads((ROOT / "training" / "policies" / "nf1" / "training.json").read_text())["config"]
         return {float(told["steps"])}, {told["world"]["mount"]}
-    recipes = [
-        tomllib.loads((RECIPES / f"{arguments(known, name, result).config}.toml").read_text())
-        for name in trainings
-    ]
+    recipes = [read(RECIPES / f"{arguments(known, name, result).config}.toml") for name in trainings]
     mounts = {recipe.get("world", {}).get("mount", "centre") for recipe in recipes}
     return {trained(known, name, result) for name in trainings}, mounts
 
 
-def training_steps(known: Experiments) -> set[str]:
+@cache
+def training_steps() -> set[str]:
     """Steps that train."""
-    return {name for name, step in known.steps.items() if command(step.words("full"))[0] == "policy train"}
+    steps = experiments().steps.items()
+    return {name for name, step in steps if command(step.words("full"))[0] == "policy train"}
 
 
 def test_a_row_says_what_differs_whatever_its_verdict() -> None:
@@ -138,10 +143,12 @@ def test_a_row_says_what_differs_whatever_its_verdict() -> None:
     assert {"surpassed", "reached", "not reached"} <= verdicts
 
 
-def test_every_row_with_a_bar_stands_beside_a_place_of_the_dissertation() -> None:
+def test_every_row_with_a_bar_stands_beside_conditions_with_a_place_of_the_dissertation() -> None:
     rows = {row.name for row, _ in held(experiments())}
     assert len(rows) >= 30
-    assert {name for name in rows if not conditions().of(name).get("place")} == set()
+    assert {name for name in rows if not conditions().of(name)} == set()
+    heads = [line for line in FILE.read_text().splitlines() if line.startswith("[experiment.")]
+    assert all(re.fullmatch(r'\[experiment\.".+"\] # (sec|tab|fig):.+', line) for line in heads)
 
 
 CHAPTER_5 = """

@@ -13,7 +13,6 @@ import pytest
 from neuroflight.cli.main import main, parse
 from neuroflight.cli.training import reproduce
 from neuroflight.cli.training.pages import renewed
-from neuroflight.sim.aircraft.model import FOLDER
 from neuroflight.sim.identification.propeller import fit_propeller
 from neuroflight.sim.identification.propeller_tables import read_tables
 from neuroflight.training.dissertation.quotes import quotes
@@ -38,7 +37,7 @@ AXES = ("roll", "pitch", "yaw")
 def test_rows_cover_every_table_that_the_dissertation_measured() -> None:
     rows = experiments().rows
     assert len(rows) >= ROWS_LEAST
-    tables = {quote.place.removeprefix("Table ") for quote in quotes() if quote.place.startswith("Table ")}
+    tables = {place for quote in quotes() if "." in (place := quote.id.partition("/")[0])}
     named = {row.name.partition("-")[0] for row in rows}
     assert tables <= named
 
@@ -86,13 +85,13 @@ def test_figures_of_the_page_are_printed_as_the_file_of_quotes_has_them() -> Non
     """Read as text, so that no zero is lost on the way."""
     document = tomllib.loads(QUOTES.read_text(), parse_float=str)
     texts: dict[str, list[str]] = {}
-    for table in document["table"]:
-        start = "/".join(filter(None, (table["number"], table.get("part"))))
-        for name, cells in table["rows"].items():
-            pairs = [[str(n) for n in (cell if isinstance(cell, list) else [cell])] for cell in cells]
-            texts[f"{start}/{name}"] = [
-                " / ".join(pair[i] for pair in pairs[:3]) for i in range(len(pairs[0]))
-            ]
+    for place, table in document.items():
+        for name, cells in table.items() if "." in place else ():
+            if name != "columns":
+                pairs = [[str(n) for n in (cell if isinstance(cell, list) else [cell])] for cell in cells]
+                texts[f"{place}/{name}"] = [
+                    " / ".join(pair[i] for pair in pairs[:3]) for i in range(len(pairs[0]))
+                ]
     cells = [line.split(" | ") for line in PAGE.read_text().splitlines() if line.startswith("| ")]
     shown = {cell[1].replace(",", "") for cell in cells if len(cell) > 2}
     figures = [figure for row in experiments().rows for figure in row.figures if figure.quote]
@@ -210,17 +209,12 @@ def test_pictures_of_the_page_are_there() -> None:
     assert sum(path.stat().st_size for path in DRAWN.glob("*.png")) < 4 << 20
 
 
-def test_the_extended_nf1_is_the_nf1_with_two_more_tables() -> None:
-    own, shipped = ((path).read_text() for path in (EXTENDED, FOLDER / "nf1.toml"))
-    table = tomllib.loads(own)
+def test_the_extended_nf1_has_the_fit_of_its_table() -> None:
     fit = fit_propeller(read_tables([EXTENDED.with_name("gws-5x4.3.csv")]).wind, degree=1)
-    advance = table["propulsion"].pop("advance_ratio")
-    assert advance == {"thrust": list(fit.advance.thrust), "torque": list(fit.advance.torque)}
-    assert table["esc"].pop("thermal")
-    known = tomllib.loads(shipped)
-    for name in ("name", "description"):
-        assert table.pop(name) != known.pop(name)
-    assert table == known
+    table = tomllib.loads(EXTENDED.read_text())
+    advance = {"thrust": list(fit.advance.thrust), "torque": list(fit.advance.torque)}
+    assert table["propulsion"] == {"advance_ratio": advance}
+    assert set(table) == {"format", "base", "name", "description", "propulsion", "esc"}
 
 
 def test_a_row_that_is_not_reached_at_the_full_budget_says_why() -> None:
@@ -292,18 +286,6 @@ def test_check_tells_whether_the_page_is_up_to_date(
     monkeypatch.setattr("neuroflight.cli.training.reproduce.PAGE", stale)
     assert main(["reproduce", "--check"]) == 1
     assert "not what the files" in capsys.readouterr().err
-
-
-def test_the_aircraft_without_rotor_drag_lacks_nothing_else() -> None:
-    nf1, other = (
-        tomllib.loads((ROOT / path).read_text())
-        for path in ("sim/aircraft/nf1.toml", "training/reproduction/nf1-no-rotor-drag.toml")
-    )
-    for name in ("drag_coefficient", "rolling_coefficient"):
-        assert nf1["propulsion"].pop(name) > 0.0
-        assert other["propulsion"].pop(name) == 0.0
-    nf1["pid"] = {"published": nf1["pid"]["published"]}
-    assert other == nf1 | {name: other[name] for name in ("name", "description")}
 
 
 def test_units_in_brackets_are_printed(capsys: pytest.CaptureFixture[str]) -> None:

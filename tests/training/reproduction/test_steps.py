@@ -230,8 +230,8 @@ def test_a_checkpoint_of_another_command_is_removed(known: Experiments, tmp_path
 
 def test_a_command_that_fails_is_told_with_its_last_line(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[3]
-    with pytest.raises(ReproduceError, match=r"evaluate.*ended with 1: neuroflight: .*no-such"):
-        execute_here(["evaluate", "no-such.onnx", "--aircraft", "nf1"], root, lambda: False)
+    with pytest.raises(ReproduceError, match=r"no-such.*ended with 2: neuroflight: no command 'no-such'"):
+        execute_here(["no-such", "--aircraft", "nf1"], root, lambda: False)
 
 
 def test_a_command_is_stopped_on_request() -> None:

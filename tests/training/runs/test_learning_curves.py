@@ -18,6 +18,7 @@ from neuroflight.training.runs.learning_curves import curves
 from neuroflight.training.runs.learning_curves_plot import draw_curves
 from neuroflight.training.runs.rewards import Rewards
 from neuroflight.training.tasks.task import EpisodicTask
+from tests.refusal import refused
 
 Capture = pytest.CaptureFixture[str]
 STEPS = 100_000
@@ -128,7 +129,7 @@ def test_the_command_prints_and_draws_a_panel_a_configuration(tmp_path: Path, ca
     ("words", "message"),
     [
         (["OLD"], "rewards.csv does not exist"),
-        (["NONE"], "training.json cannot be read"),
+        (["NONE"], "training.json: cannot be read"),
         (["SHORT"], "has 3 points, expected at least 5"),
         (["GOOD", "--label", "a", "b"], "2 names for 1 runs"),
         (["GOOD", "--plot", "curves.pdf"], "ends in .png"),
@@ -139,6 +140,4 @@ def test_it_is_refused_in_one_line(words: list[str], message: str, tmp_path: Pat
     run(tmp_path / "SHORT", 1, rising(-1.0), points=3)
     (run(tmp_path / "OLD", 1, rising(-1.0)) / "rewards.csv").unlink()
     named = [str(tmp_path / word) if word.isupper() else word for word in words]
-    assert main(["policy", "curves", *named]) == 1
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1
+    assert message in refused(capsys, ["policy", "curves", *named])

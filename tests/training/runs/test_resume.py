@@ -118,14 +118,20 @@ def test_the_bytes_are_those_of_an_undisturbed_run_when_it_was_stopped_and_resum
     assert json.loads((parted / "training.json").read_text())["complete"] is True
 
 
-def test_a_run_that_is_complete_says_so_when_resumed(tmp_path: Path, capsys: Capture) -> None:
-    words = train("ppo", tmp_path, "--set", "steps=250")
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The words of a run that is over."""
+    words = train("ppo", tmp_path_factory.mktemp("complete"), "--set", "steps=128")
     assert main(words) == 0
-    made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    capsys.readouterr()
+    return words
+
+
+def test_a_run_that_is_complete_says_so_when_resumed(complete: list[str], capsys: Capture) -> None:
+    words, out = complete, Path(complete[3])
+    made = {path.name: path.read_bytes() for path in out.iterdir()}
     assert main([*words, "--resume"]) == 0
-    assert "was complete: 256 steps; nothing was left to train" in capsys.readouterr().out
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made
+    assert "was complete: 128 steps; nothing was left to train" in capsys.readouterr().out
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == made
 
 
 @pytest.mark.parametrize(
@@ -137,14 +143,12 @@ def test_a_run_that_is_complete_says_so_when_resumed(tmp_path: Path, capsys: Cap
     ],
 )
 def test_resuming_is_rejected_when_the_configuration_is_another(
-    options: list[str], message: str, tmp_path: Path, capsys: Capture
+    options: list[str], message: str, complete: list[str], capsys: Capture
 ) -> None:
-    words = train("ppo", tmp_path, "--set", "steps=128")
-    assert main(words) == 0
-    made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    capsys.readouterr()
+    words, out = complete, Path(complete[3])
+    made = {path.name: path.read_bytes() for path in out.iterdir()}
     assert main([*words, *options, "--resume"]) == 1
     captured = capsys.readouterr()
     assert message in captured.err
     assert captured.err.count("\n") == 1
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == made

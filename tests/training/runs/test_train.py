@@ -10,11 +10,10 @@ import torch
 
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.control.controller import PolicyController
-from neuroflight.toolchain.contract import CHECKPOINT_FORMAT
-from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.contract import CHECKPOINT_FORMAT, OBSERVATION_BLOCKS
 from neuroflight.toolchain.policy.model import read_policy
 from neuroflight.training.config.algorithms import PpoConfig
-from neuroflight.training.config.training_config import OBSERVATION_SCALES, TrainingConfig, WorldConfig
+from neuroflight.training.config.training_config import OBSERVATION_SCALES, TrainingConfig
 from neuroflight.training.evaluation.evaluation import figures, record
 from neuroflight.training.runs.rewards import read_rewards
 from neuroflight.training.runs.train import Callback, Progress, train
@@ -96,46 +95,20 @@ def test_learns_to_follow_within_22_rollouts(tmp_path: Path) -> None:
     assert result.tracking.mae.mean() < 20.0  # deg/s; an aircraft that does nothing errs by about 36
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"steps": 0}, "0 steps asked for, expected at least 1"),
-        ({"seed": -1}, "seed -1, expected 0 to"),
-        ({"control_rate_hz": 1234}, "control rate 1234 Hz"),
-        ({"observation": "rate_eror"}, "unknown observation block 'rate_eror'"),
-        ({"observation": ""}, "unknown observation block ''"),
-        ({"hidden": ()}, "hidden layers"),
-        ({"hidden": (64, 0)}, "hidden layers"),
-        ({"activation": "sin"}, "activation 'sin', expected one of: relu, tanh"),
-        ({"algorithm": PpoConfig(minibatch=1000)}, "minibatch 1000 does not divide"),
-        ({"algorithm": PpoConfig(aircraft=0)}, "0 aircraft, expected 1 to 4096"),
-        ({"world": WorldConfig(throttle_max=1.5)}, "throttle_max 1.5, expected 0 to 1"),
-    ],
-)
-def test_an_invalid_configuration_is_rejected_before_training_starts(
-    options: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(TrainingError, match=message):
-        TrainingConfig(**options)
-
-
 def test_every_block_of_the_contract_has_a_scale() -> None:
-    from neuroflight.toolchain.contract import OBSERVATION_BLOCKS
-
     assert set(OBSERVATION_SCALES) == {block.name for block in OBSERVATION_BLOCKS}
 
 
-@pytest.mark.parametrize("term", ["smoothness_spatial", "smoothness_temporal"])
-def test_smoothness_in_the_loss_reduces_the_effect_of_gyro_noise(term: str, tmp_path: Path) -> None:
-    changes = []
+def test_smoothness_in_the_loss_reduces_the_effect_of_gyro_noise(tmp_path: Path) -> None:
+    changes = {}
     calm: dict[str, Any] = {"smoothness_spatial": 0.0, "smoothness_temporal": 0.0}
-    for name, smoothness in (("without", 0.0), ("with", 20.0)):
-        ppo = PpoConfig(aircraft=16, horizon=64, minibatch=256, **{**calm, term: smoothness})
-        train(NF1, TrainingConfig(steps=40 * 1024, algorithm=ppo), tmp_path / name)
-        controller = PolicyController(read_policy(tmp_path / name / "policy.onnx"), 4, exact=False)
+    for term, weight in (("none", {}), *((name, {name: 20.0}) for name in calm)):
+        ppo = PpoConfig(aircraft=16, horizon=64, minibatch=256, **(calm | weight))
+        train(NF1, TrainingConfig(steps=24 * 1024, algorithm=ppo), tmp_path / term)
+        controller = PolicyController(read_policy(tmp_path / term / "policy.onnx"), 4, exact=False)
         still = np.zeros((4, 3), np.float32)
         rng = np.random.default_rng(0)
         noise = rng.normal(0.0, NF1.gyro.noise, (200, 4, 3)).astype(np.float32)
         outputs = [controller.step(still, gyro, np.zeros(4, np.float32)) for gyro in noise]
-        changes.append(float(np.abs(np.diff(outputs, axis=0)).mean()))
-    assert changes[1] < changes[0] / 3
+        changes[term] = float(np.abs(np.diff(outputs, axis=0)).mean())
+    assert max(changes[name] for name in calm) < changes["none"] / 3

@@ -79,7 +79,6 @@ def test_folders_are_safe_names_when_values_are_not(tmp_path: Path) -> None:
     [
         ("", "sweep study.toml: nothing varies"),
         ("[vary]\nseed = []\n", "vary.seed: expected a list of values, or a range"),
-        ("[vary]\nseed = 3\n", "vary.seed: expected a list of values, or a range"),
         ("[vary]\nseed = [1, 2, 1]\n", "vary.seed: has a value twice"),
         ("[vary]\nhiden = [[8]]\n", r"study.toml, run 1 \(hiden \[8\]\): .*hiden"),
         ("[vary]\nhidden = [[8], [0]]\n", r"study.toml, run 2 \(hidden \[0\]\): .*hidden layers \[0\]"),
@@ -88,20 +87,10 @@ def test_folders_are_safe_names_when_values_are_not(tmp_path: Path) -> None:
         ("config = 'pppo'\n[vary]\nseed = [1]\n", "pppo: no such file"),
         ("[vary]\nidle = {low = 0.0, high = 0.2}\n", "samples: missing"),
         ("samples = 3\n[vary]\nseed = [1]\n", "samples: nothing to draw"),
-        (
-            "samples = 3\n[vary]\nidle = {low = 0.2, high = 0.1}\n",
-            "vary.idle.high: got 0.1, expected more than",
-        ),
-        ("samples = 3\n[vary]\nidle = {low = 0, high = 1, log = true}\n", "vary.idle.low: got 0"),
-        (
-            "samples = 3\n[vary]\nseed = {low = 1.1, high = 1.9, whole = true}\n",
-            "vary.seed.high: .* whole number",
-        ),
-        ("samples = 3\n[vary]\nidle = {low = 0, high = 1, lag = true}\n", "vary.idle.lag: unknown key"),
-        (
-            "samples = 3\n[vary]\nidle = {low = 0, high = 1, log = 1}\n",
-            "vary.idle.log: expected true or false",
-        ),
+        ("samples = 3\n[vary]\nidle = {low = 0.2, high = 0.1}\n", "vary.idle: high 0.1, expected more than"),
+        ("samples = 3\n[vary]\nidle = {low = 0, high = 1, log = true}\n", "vary.idle: low 0, expected more"),
+        ("samples = 3\n[vary]\nseed = {low = 1.1, high = 1.9, whole = true}\n", "vary.seed: high .* whole"),
+        ("samples = 3\n[vary]\nidle = {low = 0, high = 1, log = 1}\n", "vary.idle.log: got 1, expected true"),
         ("samples = 3\n[vary]\nidle = {low = 0}\n", "vary.idle.high: missing"),
         ("[set]\nseed = 1\n[vary]\nseed = [1]\n", r"set.seed: stands in \[vary\] too"),
         ("sample = 3\n[vary]\nseed = [1]\n", "sample: unknown key"),
@@ -114,7 +103,6 @@ def test_folders_are_safe_names_when_values_are_not(tmp_path: Path) -> None:
             "validation.task: got 'pulses', expected one of",
         ),
         (f"[vary]\nseed = {list(range(TRIALS_MAX + 1))}\n", f"makes {TRIALS_MAX + 1} runs, expected at most"),
-        ("[vary\n", "study.toml: not TOML"),
         ("x = '" + "y" * 100_000 + "'", "expected at most 100000"),
     ],
 )

@@ -21,6 +21,7 @@ from neuroflight.training.tasks.sticks import OnSticks
 from neuroflight.training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
+RATE_HZ = 500
 SHORT = FlightTask(pulses=5, idle_s=0.3, command_s=1.0, rest_s=0.9, hover_s=10.5)
 
 
@@ -28,9 +29,9 @@ class Deaf:
     """The aircraft's PID, with a gyro that says a constant less than the aircraft turns."""
 
     def __init__(self, count: int, roll_deg_s: float, *, after_s: float) -> None:
-        self._pid = aircraft_pid(NF1, count, name="flying")
+        self._pid = aircraft_pid(NF1, count, RATE_HZ, "flying")
         self._bias = np.deg2rad(np.array([roll_deg_s, 0.0, 0.0], np.float32))
-        self._after, self._step = round(1000 * after_s), 0
+        self._after, self._step = round(RATE_HZ * after_s), 0
 
     def reset(self) -> None:
         self._pid.reset()
@@ -44,7 +45,7 @@ class Deaf:
 
 
 @cache
-def fly(roll_deg_s: float, *, after_s: float = 0.0, noise: bool = False) -> Flights:
+def fly(roll_deg_s: float, *, after_s: float = 0.0) -> Flights:
     settings = pid_settings(NF1, "flying")
     return record(
         Deaf(3, roll_deg_s, after_s=after_s),
@@ -52,8 +53,8 @@ def fly(roll_deg_s: float, *, after_s: float = 0.0, noise: bool = False) -> Flig
         SHORT,
         episodes=3,
         seed=9,
-        control_rate_hz=1000,
-        noise=noise,
+        control_rate_hz=RATE_HZ,
+        noise=False,
         throttle=0.3,
         idle=settings.idle,
         mix=settings.mix,
@@ -86,8 +87,9 @@ def test_a_pilots_minute_moves_as_hands_do_and_ends_with_centred_sticks() -> Non
     assert len(changes) > 2900
 
 
-def test_a_pilots_minute_is_told_by_its_fifths(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["evaluate", "pid:tuned", "--task", "pilot", "--episodes", "2", "--json"]) == 0
+def test_a_pilots_flight_is_told_by_its_fifths(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--task", "pilot", "--sigma", "12", "--length", "5", "--episodes", "2", "--json"]
+    assert main(["evaluate", "pid:tuned", *words]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["task"], told["episodes"], told["throttle"]) == ("pilot", 2, 0.3)
     assert len(told["holding"]["mae"]["value"]) == 5
@@ -110,7 +112,7 @@ def test_drift_and_late_rest_are_those_of_a_gyro_that_errs() -> None:
     assert found.hover[:, 0] == pytest.approx(np.full(3, bias), rel=0.02)
     assert np.abs(found.drift[:, 1:]).max() < 1.0
     turned = Rotation.identity(3)
-    for rate in flights.rate[:, -10_000:].astype(np.float64).swapaxes(0, 1):
+    for rate in flights.rate[:, -10 * RATE_HZ :].astype(np.float64).swapaxes(0, 1):
         turned = turned * Rotation.from_rotvec(rate * flights.step_s)
     assert found.drift == pytest.approx(np.rad2deg(turned.as_rotvec()), abs=0.3)
 
@@ -133,7 +135,7 @@ def test_the_rest_is_worse_late_than_early_when_the_gyro_errs_late() -> None:
 
 
 def test_a_flight_counts_once_however_many_commands_it_has() -> None:
-    each = scores(fly(0.0, noise=True))
+    each = scores(fly(0.0))
     assert each.response is not None
     assert each.response.success.shape == (15, 3)
     assert {name: len(rows) for name, rows in values(each).items()} == dict.fromkeys(values(each), 3)
@@ -144,7 +146,7 @@ def test_a_flight_counts_once_however_many_commands_it_has() -> None:
 def test_figures_of_commands_leave_the_hover_out() -> None:
     flights = fly(0.0)
     still = replace(flights, rate=flights.rate.copy())
-    still.rate[:, -10_000:] += 1.0
+    still.rate[:, -10 * RATE_HZ :] += 1.0
     before, after = scores(flights), scores(still)
     assert np.array_equal(before.tracking.mae, after.tracking.mae)
     assert before.holding is not None
@@ -161,7 +163,7 @@ def test_flights_are_told_behind_sticks_too() -> None:
         task,
         episodes=1,
         seed=9,
-        control_rate_hz=500,
+        control_rate_hz=RATE_HZ,
         noise=False,
         throttle=0.3,
         idle=settings.idle,

@@ -105,12 +105,7 @@ def test_episodes_repeat_when_the_seed_is_the_same() -> None:
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("length_s", 0.0),
-        ("hold_least_s", 0.0),
         ("hold_mean_s", 0.05),
-        ("sigma_deg_s", -1.0),
-        ("wide_share", 1.1),
-        ("transient_share", float("nan")),
         ("start_s", 0.8),
     ],
 )

@@ -1,7 +1,6 @@
 """Pieces of a pilot's recorded commands as episodes, and the errors of invalid recordings."""
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,12 +90,9 @@ def test_a_recording_must_be_named() -> None:
     ("name", "content", "message"),
     [
         ("a.csv", b"", "no heading line with known columns (''); expected t_s, roll_deg_s"),
-        ("a.csv", b"t_s,roll_deg_s,pitch_deg_s\n0,0,0", "no heading line with known columns ('t_s, roll"),
         ("a.csv", f"{HEADING},t_s\n".encode(), "column t_s stands 2 times"),
         ("a.csv", f"{HEADING}\n0,0,0,0\n".encode(), "1 rows of commands, expected at least 2"),
         ("a.csv", f"{HEADING}\n0,0,0,0\n1,0,x,0\n".encode(), "line 3: pitch_deg_s is 'x', expected a number"),
-        ("a.csv", f"{HEADING}\n0,0,0,0\n1,0,nan,0\n".encode(), "line 3: pitch_deg_s is 'nan'"),
-        ("a.csv", f"{HEADING}\n0,0,0,0\n1,0\n".encode(), "line 3: pitch_deg_s is ''"),
         ("a.csv", f"{HEADING}\n1,0,0,0\n1,0,0,0\n".encode(), "the time is 1 s after 1 s, expected"),
         ("a.csv", f"{HEADING}\n0,0,0,0\n9,0,0,1500\n".encode(), "yaw is asked to turn at 1500 deg/s"),
         ("a.csv", f"{HEADING}\n0,0,0,0\n0.5,0,0,0\n".encode(), "lasts 0.5 s, expected at least the 1 s"),
@@ -128,9 +124,3 @@ def test_a_recording_that_is_too_large_is_rejected_unread(tmp_path: Path) -> Non
 def test_a_missing_recording_is_rejected(file: str) -> None:
     with pytest.raises(TrainingError, match="no such file"):
         RecordedTask(file)
-
-
-@pytest.mark.parametrize("length", [-1.0, math.nan, 601.0])
-def test_a_piece_of_impossible_length_is_rejected(length: float, ramp: Path) -> None:
-    with pytest.raises(TrainingError, match=r"task recorded: length_s .*, expected 0 to 600"):
-        RecordedTask(str(ramp), length_s=length)

@@ -30,91 +30,66 @@ Differences from Baselines:
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array32
 from neuroflight.training.config.algorithms import Ddpg1Config
 from neuroflight.training.config.training_config import TrainingConfig
-from neuroflight.training.envs.sb3_vector import LearnerVecEnv
 from neuroflight.training.learners.ddpg1.replay import Replay, row_width
 from neuroflight.training.learners.ddpg1.update import ActorCritic, Engine, Learnt, Losses
 from neuroflight.training.learners.memory import check_memory
+from neuroflight.training.learners.network.learner import RolloutLearner
 from neuroflight.training.learners.network.normalization import ObservedMoments
-from neuroflight.training.learners.protocol import Report, named_layers
 
-REPORT_STEPS = 4096  # control steps, all aircraft together, between reports at least
 ADAPTATION = 1.01  # factor of the perturbation's deviation from a rollout to the next
 
-Floats = NDArray[np.float32]
 
-
-class Ddpg1Learner:
+class Ddpg1Learner(RolloutLearner):
     """The learner DDPG. The replay buffer is part of the state."""
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, ddpg1: Ddpg1Config) -> None:
-        self._config, self._ddpg1 = config, ddpg1
         inputs, motors = len(config.observation_scale(aircraft.motor_count)), aircraft.motor_count
         check_memory(ddpg1.buffer, config.steps, row_width(inputs, motors))
-        self._env = LearnerVecEnv(aircraft, config, ddpg1.aircraft)
+        super().__init__(aircraft, config, ddpg1)
+        self._ddpg1 = ddpg1
         self._networks = ActorCritic(inputs, config.hidden, motors, config.activation)
         self._engine = Engine(self._networks)
         self._learnt = Learnt.fresh(self._networks.fresh(np.random.default_rng(config.seed)))
-        self._observed = ObservedMoments.none(inputs)
         self._replay = Replay(ddpg1.buffer, inputs, motors)
         self._deviation = ddpg1.noise  # of the perturbations
-        self._steps = self._updates = 0
+        # Of each aircraft, (parameters of an actor, N); one is drawn anew when its episode ends.
+        self._perturbations = np.empty((self._networks.counts[0], 0), np.float32)
 
-    @property
-    def steps(self) -> int:
-        """See Learner."""
-        return self._steps
+    def _begin(self, rng: np.random.Generator) -> None:
+        """See RolloutLearner."""
+        self._perturbations = _normal(rng, self._networks.counts[0], self._ddpg1.aircraft)
 
-    def learn(self, segment: int, report: Callable[[Report], None]) -> None:
-        """See Learner."""
-        ddpg1 = self._ddpg1
-        flight, noise = np.random.SeedSequence([self._config.seed, segment]).spawn(2)
-        self._env.restart(np.random.default_rng(flight))
-        rng = np.random.Generator(np.random.SFC64(noise))
-        observation = self._env.reset()
-        perturbations = _normal(rng, self._networks.counts[0], ddpg1.aircraft)
-        rewards, count = 0.0, 0
-        for index in range(ddpg1.leg):
-            if self._steps >= self._config.steps:
-                return
-            observation, reward = self._fly(observation, perturbations, rng)
-            self._steps += ddpg1.aircraft * ddpg1.horizon
-            rewards, count = rewards + reward, count + ddpg1.aircraft * ddpg1.horizon
-            distance = self._adapt(rng)
-            figures = self._update(rng)
-            last = index == ddpg1.leg - 1 or self._steps >= self._config.steps
-            if count >= REPORT_STEPS or last:
-                figures |= {"train/action_distance": distance, "train/parameter_noise": self._deviation}
-                report(Report(self._steps, rewards / count, figures))
-                rewards, count = 0.0, 0
+    def _rollout(
+        self, observation: Array32, rng: np.random.Generator
+    ) -> tuple[Array32, float, dict[str, float]]:
+        """See RolloutLearner."""
+        after, rewards = self._fly(observation, rng)
+        distance = self._adapt(rng)
+        figures = {**self._update(rng), "train/action_distance": distance}
+        return after, rewards, figures | {"train/parameter_noise": self._deviation}
 
-    def outputs(self, observations: Floats) -> Floats:
+    def outputs(self, observations: Array32) -> Array32:
         """Compute the deterministic policy's outputs (N, M), in -1..1, for scaled observations (N, n)."""
         normalization = self._observed.normalization
         return self._engine.outputs(self._learnt.parameters, normalization, observations).astype(np.float32)
 
-    def values(self, observations: Floats, actions: Floats) -> Floats:
+    def values(self, observations: Array32, actions: Array32) -> Array32:
         """Estimate, by the critic, returns (N,) from scaled observations (N, n) and actions (N, M) on."""
         normalization, parameters = self._observed.normalization, self._learnt.parameters
         return self._engine.values(parameters, normalization, observations, actions).astype(np.float32)
 
-    def _fly(
-        self, observation: Floats, perturbations: Floats, rng: np.random.Generator
-    ) -> tuple[Floats, float]:
-        """Fly a rollout from `observation` (N, n) on; return the observation after it, and the sum of its
-        rewards.
-
-        perturbations: of each aircraft, (parameters of an actor, N), changed in place when an episode ends.
-        """
+    def _fly(self, observation: Array32, rng: np.random.Generator) -> tuple[Array32, float]:
+        """Fly from `observation` (N, n) on; return the observation after it, and the sum of the rewards."""
+        perturbations = self._perturbations
         env, replay, normalization = self._env, self._replay, self._observed.normalization
         actor = self._networks.split(self._learnt.parameters)[0]
         deviation = np.float32(self._deviation)
@@ -166,12 +141,9 @@ class Ddpg1Learner:
         self._updates += ddpg1.updates
         return {"train/critic_loss": float(figures[0]), "train/value": float(figures[1])}
 
-    def policy(self) -> dict[str, torch.Tensor]:
-        """See Learner."""
-        actor, _ = self._networks.parts(self._learnt.parameters)
-        tensors = [torch.from_numpy(part) for part in self._observed.folded(actor)]
-        pairs = zip(tensors[::2], tensors[1::2], strict=True)
-        return named_layers([{"weight": weight, "bias": bias} for weight, bias in pairs])
+    def _actor_parts(self) -> list[Array32]:
+        """See RolloutLearner."""
+        return self._networks.parts(self._learnt.parameters)[0]
 
     def state(self) -> dict[str, Any]:
         """See Learner."""
@@ -191,10 +163,6 @@ class Ddpg1Learner:
         self._observed = ObservedMoments.restored(state["observed"])
         self._replay.restore(state["memory"])
 
-    def close(self) -> None:
-        """Leave the physics client."""
-        self._env.close()
 
-
-def _normal(rng: np.random.Generator, *shape: int) -> Floats:
+def _normal(rng: np.random.Generator, *shape: int) -> Array32:
     return rng.standard_normal(shape, np.float32)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+from neuroflight.sim.arrays import Array32
 
 
 def row_width(inputs: int, motors: int) -> int:
@@ -23,10 +23,10 @@ class Replay:
     """
 
     def __init__(self, size: int, inputs: int, motors: int) -> None:
-        self.rows: Floats = np.zeros((size, row_width(inputs, motors)), np.float32)
+        self.rows: Array32 = np.zeros((size, row_width(inputs, motors)), np.float32)
         self.filled = self._next = 0
 
-    def add(self, observations: Floats, actions: Floats, rewards: Floats, following: Floats) -> None:
+    def add(self, observations: Array32, actions: Array32, rewards: Array32, following: Array32) -> None:
         """Add steps of N aircraft: (N, n), (N, M), (N,), (N, n)."""
         size, count = len(self.rows), len(rewards)
         where = np.arange(self._next, self._next + count) % size

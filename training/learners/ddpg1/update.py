@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,13 +127,13 @@ class Engine:
         actors: (parameters of an actor, N). The caller keeps the arrays. Each call overwrites the last
         result.
         """
-        networks, number, point = self._networks, self._number, self._pointer
+        networks, number = self._networks, self._number
         count, widest = actors.shape[1], max(networks.actor.widths)
         memory = aligned(2 * widest * count, number)
         observations = np.empty((count, networks.inputs), number)
         found = np.empty((count, networks.motors), number)
         given = observed(self._library, normalization, observations)
-        weights, result, space = point(actors), point(found), point(memory)
+        weights, result, space = pointer(actors), pointer(found), pointer(memory)
         act, actor = self._library.lib.ddpg1_act, self._actor.described
 
         def outputs(rows: Numbers) -> Numbers:
@@ -151,9 +150,8 @@ class Engine:
         rows = np.concatenate([observations, actions], axis=1, dtype=self._number)
         found, critic = np.empty(len(rows), self._number), self._networks.split(parameters)[1]
         given = observed(self._library, normalization, rows)
-        point = self._pointer
         self._library.lib.ddpg1_values(
-            self._critic, point(critic), len(rows), given, point(found), point(self._memory)
+            self._critic, pointer(critic), len(rows), given, pointer(found), pointer(self._memory)
         )
         return found
 
@@ -171,22 +169,18 @@ class Engine:
         rows: see `Replay`; updates: so far. Returns means of the critic's squared error and of the value of
         what the actor does, and the last gradient.
         """
-        point = self._pointer
         gradient, figures = np.zeros_like(learnt.parameters), np.zeros(self._library.lib.DDPG1_FIGURES)
         made = self._library.ffi.new("struct updates *")
         made.actor, made.critic = self._actor.described[0], self._critic[0]
         made.count, made.minibatch = drawn.shape
-        made.drawn = point(drawn)
+        made.drawn = pointer(drawn)
         made.observed = observed(self._library, normalization, rows)[0]
         made.discount, made.tau, made.decay = losses.discount, losses.tau, losses.decay
-        made.parameters, made.targets = point(learnt.parameters), point(learnt.targets)
-        made.gradient, made.figures = point(gradient), point(figures)
+        made.parameters, made.targets = pointer(learnt.parameters), pointer(learnt.targets)
+        made.gradient, made.figures = pointer(gradient), pointer(figures)
         means = zip(self._networks.split(learnt.first), self._networks.split(learnt.second), strict=True)
         for adam, rate, pair in zip(made.adam, losses.rates, means, strict=True):
-            set_adam(self._library, adam, pair, EPS)
+            set_adam(adam, pair, EPS)
             adam.rate, adam.updates = rate, updates
-        self._library.lib.ddpg1_update(made, point(self._memory))
+        self._library.lib.ddpg1_update(made, pointer(self._memory))
         return figures, gradient
-
-    def _pointer(self, array: NDArray[Any]) -> Any:  # noqa: ANN401 - a pointer of cffi
-        return pointer(self._library, array)

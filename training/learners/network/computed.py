@@ -40,7 +40,7 @@ class Computed:
         memory = aligned(self._size, number)
         observations, found = np.empty((count, widths[0]), number), np.empty((count, widths[-1]), number)
         given = observed(self._library, normalization, observations)
-        weights, result, space = (pointer(self._library, array) for array in (parameters, found, memory))
+        weights, result, space = map(pointer, (parameters, found, memory))
         compute, loaded = self._library.lib.network_outputs, False
 
         def outputs(rows: Numbers) -> Numbers:
@@ -71,12 +71,12 @@ def described(library: compiled.Library, shape: Shape, *, squash: bool = False) 
 def observed(library: compiled.Library, normalization: Normalization, rows: Numbers) -> Any:  # noqa: ANN401 - a struct of cffi
     """Return `struct observed *` of rows (N, stride), each an observation first; the caller keeps them."""
     made = library.ffi.new("struct observed *")
-    made.values, made.stride = pointer(library, rows), rows.shape[1]
-    made.mean, made.factor = (pointer(library, part) for part in (normalization.mean, normalization.factor))
+    made.values, made.stride = pointer(rows), rows.shape[1]
+    made.mean, made.factor = pointer(normalization.mean), pointer(normalization.factor)
     return made
 
 
-def set_adam(library: compiled.Library, adam: Any, means: tuple[Numbers, Numbers], eps: float) -> None:  # noqa: ANN401
+def set_adam(adam: Any, means: tuple[Numbers, Numbers], eps: float) -> None:  # noqa: ANN401
     """Fill in a `struct adam` but for its rate and its updates; means: of the gradient and of its square."""
     adam.eps, adam.decay = eps, DECAYS
-    adam.first, adam.second = (pointer(library, mean) for mean in means)
+    adam.first, adam.second = map(pointer, means)

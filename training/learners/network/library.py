@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cffi import FFI
 from numpy.typing import NDArray
 
 from neuroflight.sim import compiled
@@ -17,6 +18,7 @@ C = Path(__file__).parent / "c"
 # Branches may become selections, and square roots are the processor's: no value depends on it.
 FLAGS = ("-O3", "-fno-trapping-math", "-fno-math-errno", "-Wno-psabi", "-Wno-unknown-pragmas")
 CACHE_LINE = 64  # bytes
+_FFI = FFI()  # arrays of numbers are of the same types in every library
 _KINDS = {"float64": "double[]", "float32": "float[]", "int32": "int32_t[]"}
 
 
@@ -38,10 +40,9 @@ def load(learner: str, number: str) -> compiled.Library:
     )
 
 
-def pointer(library: compiled.Library, array: NDArray[Any] | None) -> Any:  # noqa: ANN401 - of cffi
+def pointer(array: NDArray[Any] | None) -> Any:  # noqa: ANN401 - of cffi
     """Return a pointer to the first element of an array in C order, kept by the caller; NULL for None."""
-    ffi = library.ffi
-    return ffi.NULL if array is None else ffi.from_buffer(_KINDS[array.dtype.name], array)
+    return _FFI.NULL if array is None else _FFI.from_buffer(_KINDS[array.dtype.name], array)
 
 
 def aligned(count: int, number: str) -> NDArray[np.floating]:

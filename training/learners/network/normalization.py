@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-Doubles = NDArray[np.float64]
+from neuroflight.sim.arrays import Array
+
 Numbers = NDArray[np.floating]
 
 VARIANCE_MIN = 1e-2  # of an observed value, in scaled units: one that hardly varies is not blown up
@@ -29,8 +30,8 @@ class ObservedMoments:
     """Mean and spread of all observations so far."""
 
     count: float
-    mean: Doubles  # (n,)
-    squares: Doubles  # (n,), sums of squared distances from the mean
+    mean: Array  # (n,)
+    squares: Array  # (n,), sums of squared distances from the mean
 
     @staticmethod
     def none(width: int) -> ObservedMoments:
@@ -50,11 +51,11 @@ class ObservedMoments:
         )
 
     @property
-    def factor(self) -> Doubles:
+    def factor(self) -> Array:
         """Factor that brings a value's spread to 1, (n,)."""
         if self.count == 0.0:
             return np.ones_like(self.mean)
-        found: Doubles = 1.0 / np.sqrt(np.maximum(self.squares / self.count, VARIANCE_MIN))
+        found: Array = 1.0 / np.sqrt(np.maximum(self.squares / self.count, VARIANCE_MIN))
         return found
 
     @property

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array32
 from neuroflight.training.config.training_config import OutputMap
 
-Array = NDArray[np.float32]
 HIDDEN_GAIN = 1.4  # of the initial orthogonal matrices
 LAST_GAIN = 0.02  # small: the outputs of an untrained policy hardly depend on the observation
 GATES = {"gru": 3, "lstm": 4}  # of a recurrent unit: reset, update and new; input, forget, cell and output
@@ -46,16 +45,16 @@ class Shape:
         """Number of parameters."""
         return sum(int(np.prod(part)) for part in self.parts)
 
-    def split(self, parameters: Array) -> list[Array]:
+    def split(self, parameters: Array32) -> list[Array32]:
         """Return views of an array of parameters, one for each of `parts`."""
         ends = np.cumsum([int(np.prod(part)) for part in self.parts])[:-1]
         return [view.reshape(part) for view, part in zip(np.split(parameters, ends), self.parts, strict=True)]
 
-    def fresh(self, start_output: float, rng: np.random.Generator) -> Array:
+    def fresh(self, start_output: float, rng: np.random.Generator) -> Array32:
         """Draw parameters of an untrained network; start_output: motor fraction of its outputs."""
         parameters = np.zeros(self.count, np.float32)
         *hidden, weight, bias = self.split(parameters)
-        for part in _matrices(hidden):
+        for part in (each for each in hidden if each.ndim == 2):
             part[:] = HIDDEN_GAIN * _orthogonal(part, rng)
         weight[:] = LAST_GAIN * _orthogonal(weight, rng)
         start = (start_output - self.output.offset) / self.output.scale
@@ -64,7 +63,7 @@ class Shape:
             self._slow_down(hidden, rng)
         return parameters
 
-    def _slow_down(self, hidden: list[Array], rng: np.random.Generator) -> None:
+    def _slow_down(self, hidden: list[Array32], rng: np.random.Generator) -> None:
         """Let units forget at different paces at first: within two to some hundred steps.
 
         The second gate says what a unit keeps. An LSTM takes in as much less as it keeps more, by its first
@@ -79,11 +78,7 @@ class Shape:
             own[:] = _orthogonal(own, rng)
 
 
-def _matrices(parts: list[Array]) -> Iterator[Array]:
-    return (part for part in parts if part.ndim == 2)
-
-
-def _orthogonal(like: Array, rng: np.random.Generator) -> NDArray[np.float64]:
+def _orthogonal(like: Array32, rng: np.random.Generator) -> NDArray[np.float64]:
     """Draw a matrix of this shape with orthonormal rows or columns, uniformly distributed (Mezzadri 2007)."""
     rows, columns = like.shape
     wide = rows < columns

@@ -16,14 +16,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array32
 from neuroflight.sim.physics.rotor import rotor_geometry
 from neuroflight.toolchain.contract import ObservationTerm
 from neuroflight.training.learners.network.shape import Shape
 
-Array = NDArray[np.float32]
 RATE, ESTIMATE = "rate", "rate_estimate"
 LARGER = np.float32(10.0)  # brings differences to the size of the other inputs
 
@@ -32,13 +31,13 @@ class Basis:
     """A conversion of parameters between how they are learned and how the network has them."""
 
     def __init__(
-        self, shape: Shape, terms: Sequence[ObservationTerm], motors: int, steering: Array | None = None
+        self, shape: Shape, terms: Sequence[ObservationTerm], motors: int, steering: Array32 | None = None
     ) -> None:
         """steering: see the function; None: the motors have no other patterns."""
         self._shape, self._steering = shape, steering
         self._pairs = _pairs(terms, motors)
 
-    def network(self, learned: Array) -> Array:
+    def network(self, learned: Array32) -> Array32:
         """Convert learned parameters to the network's."""
         parameters = learned.copy()
         first = self._shape.split(parameters)[0]
@@ -47,7 +46,7 @@ class Basis:
             first[:, own] *= LARGER
         return self._steered(parameters)
 
-    def learned(self, network: Array) -> Array:
+    def learned(self, network: Array32) -> Array32:
         """Convert the network's parameters to learned ones."""
         parameters = network.copy()
         first = self._shape.split(parameters)[0]
@@ -56,7 +55,7 @@ class Basis:
             first[:, other] += LARGER * first[:, own]
         return parameters
 
-    def gradient(self, found: Array) -> Array:
+    def gradient(self, found: Array32) -> Array32:
         """Convert the gradient by the network's parameters to the one by what is learned."""
         gradient = self._steered(found.copy())
         first = self._shape.split(gradient)[0]
@@ -64,7 +63,7 @@ class Basis:
             first[:, own] = LARGER * (first[:, own] - first[:, other])
         return gradient
 
-    def _steered(self, parameters: Array) -> Array:
+    def _steered(self, parameters: Array32) -> Array32:
         """Project the last layer of `parameters`, or the gradient by it, onto what steers, in place."""
         if self._steering is not None:
             for part in self._shape.split(parameters)[-2:]:
@@ -72,7 +71,7 @@ class Basis:
         return parameters
 
 
-def steering(aircraft: Aircraft) -> Array | None:
+def steering(aircraft: Aircraft) -> Array32 | None:
     """Return the projection (M, M) of M motors' values onto what turns the aircraft or lifts it evenly.
 
     None where every pattern does one or the other, as with four rotors.

@@ -6,15 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, lfilter
 
+from neuroflight.sim.arrays import Array32
 from neuroflight.sim.physics.variation import Variation
 from neuroflight.training.config.pathwise_config import PathwiseConfig
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.tasks.random_steps import RandomStepsTask, StepWeights
 
-Array = NDArray[np.float32]
 KNOT_S = 0.15  # in which the air around a tumbling aircraft changes
 CALM = 0.3  # of the aircraft
 LEAST = 0.03  # of the largest standard deviation
@@ -29,14 +28,14 @@ WASH_BEGUN_S = 0.3  # before the episode: some times the memory of the band-pass
 class Batch:
     """Episodes of T control steps for B aircraft."""
 
-    setpoint: Array  # (B, T, 3) [rad/s]
+    setpoint: Array32  # (B, T, 3) [rad/s]
     step_weights: StepWeights  # (B, T), weight of each control step
-    throttle: Array  # (B, T), the pilot's thrust
+    throttle: Array32  # (B, T), the pilot's thrust
     variation: Variation  # of the B aircraft
     seed: int  # of the noise
-    disturbance: Array | None = None  # (B, T, 3) [rad/s^2], by moments from outside at the file's inertia
+    disturbance: Array32 | None = None  # (B, T, 3) [rad/s^2], by moments from outside at the file's inertia
 
-    def shares(self) -> list[Array]:
+    def shares(self) -> list[Array32]:
         """Return the shares (B, T) of the control steps in the means.
 
         Of the absolute error, of the squared error, of output and change, and of the motors at closed
@@ -71,7 +70,7 @@ def draw_batch(
     )
 
 
-def _moments(pathwise: PathwiseConfig, steps: int, rate_hz: int, rng: np.random.Generator) -> Array | None:
+def _moments(pathwise: PathwiseConfig, steps: int, rate_hz: int, rng: np.random.Generator) -> Array32 | None:
     """See Batch.disturbance."""
     count, sums = pathwise.aircraft, None
     if pathwise.disturbance:
@@ -82,7 +81,7 @@ def _moments(pathwise: PathwiseConfig, steps: int, rate_hz: int, rng: np.random.
     return sums
 
 
-def disturbances(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.Generator) -> Array:
+def disturbances(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.Generator) -> Array32:
     """Draw angular accelerations (count, steps, 3) [rad/s^2] that no rotor makes, as drag in fast air does.
 
     Straight lines between values that are drawn every KNOT_S. Their standard deviation is drawn log-uniformly
@@ -99,7 +98,7 @@ def disturbances(count: int, steps: int, rate_hz: int, largest: float, rng: np.r
     return lines.astype(np.float32)
 
 
-def washes(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.Generator) -> Array:
+def washes(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.Generator) -> Array32:
     """Draw angular accelerations (count, steps, 3) [rad/s^2] with the spectrum of an aircraft's own prop
     wash.
 
@@ -111,5 +110,5 @@ def washes(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.
     white = rng.standard_normal((count, begun + steps, 3))
     band = lfilter(above, below, white, axis=1)[:, begun:]
     unit = math.sqrt(rate_hz / (math.pi * (WASH_HZ[1] - WASH_HZ[0])))  # of white noise through such a band
-    shaken: Array = (band * (unit * sigma[:, None, None] * (1.0, 1.0, WASH_YAW))).astype(np.float32)
+    shaken: Array32 = (band * (unit * sigma[:, None, None] * (1.0, 1.0, WASH_YAW))).astype(np.float32)
     return shaken

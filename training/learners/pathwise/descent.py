@@ -10,13 +10,11 @@ import math
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from neuroflight.sim.arrays import Array32
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.config.pathwise_config import PathwiseConfig
 from neuroflight.training.learners.pathwise.loss import LossFigures, Weights
-
-Floats = NDArray[np.float32]
 
 MOMENTUM, SPREAD = 0.9, 0.99  # Adam's decays; the second is short because a run has few updates
 MEMORY = 0.9  # decay of the running means that are compared with the limits
@@ -36,7 +34,7 @@ class Good:
 
     updates: int
     error: float  # [deg/s]: see Figures
-    parameters: Floats
+    parameters: Array32
     weights: Weights
 
 
@@ -63,9 +61,9 @@ class State:
     """The state of the learner between updates."""
 
     updates: int
-    parameters: Floats  # of the network
-    mean: Floats  # Adam's, of the gradient
-    square: Floats  # likewise of its square
+    parameters: Array32  # of the network
+    mean: Array32  # Adam's, of the gradient
+    square: Array32  # likewise of its square
     weights: Weights
     figures: LossFigures | None  # running means; None before the first update
     good: Good  # state that a setback restores
@@ -76,7 +74,7 @@ class State:
     setbacks: tuple[Setback, ...] = ()
 
     @staticmethod
-    def fresh(parameters: Floats, weights: Weights) -> State:
+    def fresh(parameters: Array32, weights: Weights) -> State:
         """Return the state before the first update."""
         nothing = np.zeros_like(parameters)
         return State(0, parameters, nothing, nothing, weights, None, Good(0, math.inf, parameters, weights))
@@ -87,7 +85,7 @@ class State:
         return SETBACK_RATE ** len(self.setbacks)
 
 
-def descended(state: State, found: Floats, rate: float, pathwise: PathwiseConfig) -> State:
+def descended(state: State, found: Array32, rate: float, pathwise: PathwiseConfig) -> State:
     """Take a step of Adam (Kingma and Ba 2015) along the gradient `found`.
 
     None along one that is not finite or `outlier` times longer than usual: a few flights that diverge have

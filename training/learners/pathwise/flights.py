@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.physics.rotor import response_rows
+from neuroflight.training.learners.network.library import aligned, load, pointer
 from neuroflight.training.learners.pathwise.batch import Batch
-from neuroflight.training.learners.pathwise.library import aligned, library, pointer
 from neuroflight.training.learners.pathwise.loss import LossFigures, Weights
 from neuroflight.training.learners.pathwise.plan import Surroundings
 
@@ -45,7 +45,7 @@ class Flights:
         """workers: threads, as many as cores unless given; number: float32, or float64 for tests."""
         self._surroundings = surroundings
         self._number = number
-        self._library = library(number)
+        self._library = load("pathwise", number)
         self._workers = workers or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._workers)
         self._memories: SimpleQueue[tuple[Floats, Floats]] = SimpleQueue()

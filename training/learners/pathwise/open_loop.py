@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array
 from neuroflight.sim.physics.rotor import next_speed, response_rows, rotor_geometry, thrust_and_torque
-from neuroflight.training.learners.pathwise.library import aligned, library, pointer
+from neuroflight.training.learners.network.library import aligned, load, pointer
 from neuroflight.training.learners.pathwise.plan import put_aircraft
 
-Array = NDArray[np.float64]
 NUMBER = "float64"
 LANES = 16  # as api.h says
 ITERATIONS = 30
@@ -131,7 +131,7 @@ def search(
 
     start: decisions (E, steps, M) that the search begins with; None: those that keep the rotors' speeds.
     """
-    library(NUMBER)  # built here, if it has to be, and not by each thread
+    load("pathwise", NUMBER)  # built here, if it has to be, and not by each thread
     count = len(commands.wanted)
     speed = trim(motors, commands)
     if start is None:
@@ -151,7 +151,7 @@ def _block(
     motors: Motors, commands: Commands, speed: Array, start: Array, squared: bool, iterations: int
 ) -> tuple[NDArray[Any], ...]:
     """Compute the columns of Found of LANES commands."""
-    loaded = library(NUMBER)
+    loaded = load("pathwise", NUMBER)
     propulsion, count = motors.aircraft.propulsion, motors.aircraft.motor_count
     plan = loaded.ffi.new("struct plan *")
     put_aircraft(plan, motors.aircraft, motors.dt)

@@ -22,11 +22,9 @@ from neuroflight.toolchain.contract import (
     needs_model,
 )
 from neuroflight.toolchain.policy.model_constants import ModelConstants
+from neuroflight.training.learners.network.library import load
 from neuroflight.training.learners.network.shape import Shape
-from neuroflight.training.learners.pathwise.library import library
 from neuroflight.training.learners.pathwise.loss import Weights
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class Surroundings:
 
     def plan(self, weights: Weights, battery: bool, number: str) -> Any:  # noqa: ANN401 - a struct of cffi
         """Make the plan for C. battery: True if any aircraft flies on one."""
-        made = library(number).ffi.new("struct plan *")
+        made = load("pathwise", number).ffi.new("struct plan *")
         made.steps, made.samples = self.steps, self.samples
         made.rounded = self.rounded
         put_aircraft(made, self.aircraft, self.dt)
@@ -103,7 +101,8 @@ class Surroundings:
 
     def _controller(self, made: Any) -> None:  # noqa: ANN401
         rate_hz, motors = self.control_rate_hz, self.aircraft.motor_count
-        made.mix = getattr(library().lib, f"MIX_{self.mix.name}")
+        enums = load("pathwise", "float32").lib
+        made.mix = getattr(enums, f"MIX_{self.mix.name}")
         made.idle, made.dt = self.idle, 1.0 / rate_hz
         made.integral_max = RATE_ERROR_INTEGRAL_LIMIT_RAD
         made.terms = len(self.terms)
@@ -115,8 +114,8 @@ class Surroundings:
         shape, network = self.shape, made.network
         network.layers = len(shape.widths) - 1
         _fill(network.width, np.array(shape.widths))
-        network.memory = getattr(library().lib, f"MEMORY_{shape.recurrent.upper()}")
-        network.activation = getattr(library().lib, f"ACTIVATION_{shape.activation.upper()}")
+        network.memory = getattr(enums, f"MEMORY_{shape.recurrent.upper()}")
+        network.activation = getattr(enums, f"ACTIVATION_{shape.activation.upper()}")
         output = shape.output
         network.scale, network.offset, network.squash = output.scale, output.offset, output.squash
 

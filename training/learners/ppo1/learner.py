@@ -19,7 +19,6 @@ added behind the bias correction.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,31 +26,27 @@ import torch
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array32
 from neuroflight.training.config.algorithms import Ppo1Config
 from neuroflight.training.config.training_config import OutputMap, TrainingConfig
-from neuroflight.training.envs.sb3_vector import LearnerVecEnv
+from neuroflight.training.learners.network.learner import RolloutLearner
 from neuroflight.training.learners.network.normalization import ObservedMoments
 from neuroflight.training.learners.network.shape import Shape
 from neuroflight.training.learners.ppo1.normalization import ReturnMoments
 from neuroflight.training.learners.ppo1.rollout import Rollout, advantages
 from neuroflight.training.learners.ppo1.update import ActorCritic, Engine, Losses, Samples
-from neuroflight.training.learners.protocol import Report, named_layers
 
-REPORT_STEPS = 4096  # control steps, all aircraft together, between reports at least
 NUMBER_MIN = 1e-8
 FIGURES = "train/surrogate", "train/value_loss", "train/clipped"
 
-Floats = NDArray[np.float32]
 
-
-class Ppo1Learner:
+class Ppo1Learner(RolloutLearner):
     """The learner PPO1."""
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, ppo1: Ppo1Config) -> None:
-        self._config, self._ppo1 = config, ppo1
-        self._env = LearnerVecEnv(aircraft, config, ppo1.aircraft)
-        inputs = len(config.observation_scale(aircraft.motor_count))
-        layers, plain = (inputs, *config.hidden), OutputMap()
+        super().__init__(aircraft, config, ppo1)
+        self._ppo1 = ppo1
+        layers, plain = (self._inputs, *config.hidden), OutputMap()
         self._networks = ActorCritic(
             Shape((*layers, aircraft.motor_count), config.activation, plain),
             Shape((*layers, 1), config.activation, plain),
@@ -60,48 +55,30 @@ class Ppo1Learner:
         rng = np.random.default_rng(config.seed)
         self._parameters = self._networks.fresh(ppo1.log_std, rng)
         self._adam = np.zeros_like(self._parameters), np.zeros_like(self._parameters)
-        self._observed, self._returned = ObservedMoments.none(inputs), ReturnMoments()
-        self._steps = self._updates = 0
+        self._returned = ReturnMoments()
 
-    @property
-    def steps(self) -> int:
-        """See Learner."""
-        return self._steps
+    def _rollout(
+        self, observation: Array32, rng: np.random.Generator
+    ) -> tuple[Array32, float, dict[str, float]]:
+        """See RolloutLearner."""
+        left = 1.0 - self._steps / self._config.steps if self._ppo1.anneal else 1.0
+        rollout = self._fly(observation, rng)
+        figures = self._update(rollout, left, rng)
+        return rollout.observations[-1], float(rollout.rewards.sum()), figures
 
-    def learn(self, segment: int, report: Callable[[Report], None]) -> None:
-        """See Learner."""
-        flight, noise = np.random.SeedSequence([self._config.seed, segment]).spawn(2)
-        self._env.restart(np.random.default_rng(flight))
-        rng = np.random.Generator(np.random.SFC64(noise))
-        observation = self._env.reset()
-        rewards, count = 0.0, 0
-        for index in range(self._ppo1.leg):
-            if self._steps >= self._config.steps:
-                return
-            left = 1.0 - self._steps / self._config.steps if self._ppo1.anneal else 1.0
-            rollout = self._fly(observation, rng)
-            observation = rollout.observations[-1]
-            self._steps += rollout.rewards.size
-            figures = self._update(rollout, left, rng)
-            rewards, count = rewards + float(rollout.rewards.sum()), count + rollout.rewards.size
-            last = index == self._ppo1.leg - 1 or self._steps >= self._config.steps
-            if count >= REPORT_STEPS or last:
-                report(Report(self._steps, rewards / count, figures))
-                rewards, count = 0.0, 0
-
-    def outputs(self, observations: Floats) -> Floats:
+    def outputs(self, observations: Array32) -> Array32:
         """Compute the deterministic policy's outputs (N, M) for scaled observations (N, n)."""
         return self._engine.outputs(self._parameters, self._observed.normalization, observations).astype(
             np.float32
         )
 
-    def values(self, observations: Floats) -> NDArray[np.float64]:
+    def values(self, observations: Array32) -> NDArray[np.float64]:
         """Estimate, by the critic, returns (...) from scaled observations (..., n) on."""
         rows = observations.reshape(-1, observations.shape[-1])
         values = self._engine.values(self._parameters, self._observed.normalization, rows).astype(np.float64)
         return (values * self._returned.spread + self._returned.mean).reshape(observations.shape[:-1])
 
-    def _fly(self, observation: Floats, rng: np.random.Generator) -> Rollout:
+    def _fly(self, observation: Array32, rng: np.random.Generator) -> Rollout:
         """Fly a rollout from `observation` (N, n) on."""
         networks, normalization = self._networks, self._observed.normalization
         rollout = Rollout.empty(self._ppo1.horizon, len(observation), observation.shape[1], networks.motors)
@@ -162,12 +139,9 @@ class Ppo1Learner:
         bias[:] = (bias * old.spread + old.mean - returned.mean) / returned.spread
         weight *= np.float32(old.spread / returned.spread)
 
-    def policy(self) -> dict[str, torch.Tensor]:
-        """See Learner."""
-        actor = self._networks.actor.split(self._networks.split(self._parameters)[0])
-        tensors = [torch.from_numpy(part) for part in self._observed.folded(actor)]
-        pairs = zip(tensors[::2], tensors[1::2], strict=True)
-        return named_layers([{"weight": weight, "bias": bias} for weight, bias in pairs])
+    def _actor_parts(self) -> list[Array32]:
+        """See RolloutLearner."""
+        return self._networks.actor.split(self._networks.split(self._parameters)[0])
 
     def state(self) -> dict[str, Any]:
         """See Learner."""
@@ -189,7 +163,3 @@ class Ppo1Learner:
         self._adam = first, second
         self._observed = ObservedMoments.restored(state["observed"])
         self._returned = ReturnMoments(**state["returned"])
-
-    def close(self) -> None:
-        """See Learner."""
-        self._env.close()

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Doubles = NDArray[np.float64]
+from neuroflight.sim.arrays import Array
 
 RETURN_MEMORY = 0.95  # decay of the returns' moments from a rollout to the next
 RETURN_SPREAD_MIN = 1e-6
@@ -25,7 +24,7 @@ class ReturnMoments:
     mean: float = 0.0
     square: float = 0.0  # mean of the squares
 
-    def with_more(self, returns: Doubles) -> ReturnMoments:
+    def with_more(self, returns: Array) -> ReturnMoments:
         """Add the returns of one more rollout."""
         weight = RETURN_MEMORY * self.weight + 1.0 - RETURN_MEMORY
         share = (1.0 - RETURN_MEMORY) / weight

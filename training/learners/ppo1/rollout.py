@@ -8,19 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
+from neuroflight.sim.arrays import Array, Array32
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """T control steps of N aircraft."""
 
-    observations: Floats  # (T + 1, N, n), scaled; where an episode ended, the next is its successor's first
-    actions: Floats  # (T, N, M), drawn network outputs
-    rewards: Doubles  # (T, N)
+    observations: Array32  # (T + 1, N, n), scaled; where an episode ended, the next is its successor's first
+    actions: Array32  # (T, N, M), drawn network outputs
+    rewards: Array  # (T, N)
     ended: NDArray[np.bool_]  # (T, N), the episode's time is over
-    last: list[tuple[int, int, Floats]]  # step, aircraft and last observation of each episode that ended
+    last: list[tuple[int, int, Array32]]  # step, aircraft and last observation of each episode that ended
 
     @staticmethod
     def empty(steps: int, aircraft: int, inputs: int, motors: int) -> Rollout:
@@ -33,7 +32,7 @@ class Rollout:
             [],
         )
 
-    def following(self, values: Doubles, estimate: Callable[[Floats], Doubles]) -> Doubles:
+    def following(self, values: Array, estimate: Callable[[Array32], Array]) -> Array:
         """Compute the value of what follows each step, (T, N); values: of `observations`, (T + 1, N)."""
         following = values[1:].copy()
         if self.last:
@@ -43,13 +42,13 @@ class Rollout:
 
 
 def advantages(
-    rewards: Doubles,
-    values: Doubles,
-    following: Doubles,
+    rewards: Array,
+    values: Array,
+    following: Array,
     ended: NDArray[np.bool_],
     discount: float,
     gae_lambda: float,
-) -> Doubles:
+) -> Array:
     """Compute generalized advantage estimates (Schulman et al. 2016), all arrays (T, N)."""
     surprise = rewards + discount * following - values
     decay = np.where(ended, 0.0, discount * gae_lambda)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,10 +118,8 @@ class Engine:
         means = self.outputs(parameters, normalization, observations)
         found = np.empty(len(actions), self._number)
         log_std = self._networks.split(parameters)[1]
-        point = self._pointer
-        self._library.lib.ppo1_log_prob(
-            len(actions), self._networks.motors, point(actions), point(means), point(log_std), point(found)
-        )
+        arrays = map(pointer, (actions, means, log_std, found))
+        self._library.lib.ppo1_log_prob(len(actions), self._networks.motors, *arrays)
         return found
 
     def epoch(
@@ -140,20 +137,17 @@ class Engine:
         Samples that are left over count nothing, as in Baselines. updates: Adam's so far. Returns means of
         the surrogate, of the values' squared error and of the share of clipped ratios, and the last gradient.
         """
-        point, count = self._pointer, len(order) - len(order) % losses.minibatch
+        count = len(order) - len(order) % losses.minibatch
         gradient, figures = np.zeros_like(parameters), np.zeros(self._library.lib.PPO1_FIGURES)
         epoch = self._library.ffi.new("struct epoch *")
         epoch.actor, epoch.critic = self._actor.described[0], self._critic.described[0]
-        epoch.count, epoch.minibatch, epoch.order = count, losses.minibatch, point(order)
+        epoch.count, epoch.minibatch, epoch.order = count, losses.minibatch, pointer(order)
         epoch.observed = observed(self._library, normalization, samples.observations)[0]
         for name in ("actions", "log_prob", "advantages", "returns"):
-            setattr(epoch, name, point(getattr(samples, name)))
+            setattr(epoch, name, pointer(getattr(samples, name)))
         epoch.clip, epoch.entropy = losses.clip, losses.entropy
-        set_adam(self._library, epoch.adam, adam, EPS)
+        set_adam(epoch.adam, adam, EPS)
         epoch.adam.rate, epoch.adam.updates = losses.rate, updates
-        epoch.parameters, epoch.gradient, epoch.figures = point(parameters), point(gradient), point(figures)
-        self._library.lib.ppo1_epoch(epoch, point(self._memory))
+        epoch.parameters, epoch.gradient, epoch.figures = map(pointer, (parameters, gradient, figures))
+        self._library.lib.ppo1_epoch(epoch, pointer(self._memory))
         return figures, gradient
-
-    def _pointer(self, array: NDArray[Any]) -> Any:  # noqa: ANN401 - a pointer of cffi
-        return pointer(self._library, array)

@@ -9,7 +9,6 @@
 
 static const uint8_t *boot_flash_at(void *context, uint32_t address)
 {
-	(void)context;
 	return (const uint8_t *)address;
 }
 
@@ -26,7 +25,6 @@ static bool boot_flash_program(void *context, uint32_t address, const void *word
 	const uint32_t *const from = words;
 	bool good = boot_flash_wait();
 
-	(void)context;
 	if ((FLASH_CR & FLASH_CR_LOCK) != 0u) {
 		FLASH_KEYR = FLASH_KEY_1;
 		FLASH_KEYR = FLASH_KEY_2;

@@ -1,7 +1,6 @@
 /* Clock tree: HSE 8 MHz, or HSI 16 MHz where the crystal does not start -> PLL 216 MHz, AHB 216, APB1 54, APB2 108;
  * timers of APB2 run at 216 MHz. */
-#ifndef STM32F7_CLOCK_H
-#define STM32F7_CLOCK_H
+#pragma once
 
 #include <stdbool.h>
 
@@ -26,5 +25,3 @@ void clock_peripherals(void);
 
 /* Does the core run from the PLL? Valid at any time, also from a fault. */
 bool clock_is_full_speed(void);
-
-#endif

@@ -1,6 +1,5 @@
 /* The Cortex-M7 around the program: barriers, interrupts, memory protection, caches. */
-#ifndef STM32F7_CORE_H
-#define STM32F7_CORE_H
+#pragma once
 
 #include <stdint.h>
 
@@ -61,5 +60,3 @@ void core_clean_caches(void);
 
 /* Sets the priority, then enables interrupt `irq` (IRQ_...). */
 void interrupt_enable(uint32_t irq, enum priority priority);
-
-#endif

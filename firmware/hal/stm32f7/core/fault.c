@@ -1,7 +1,5 @@
 #include "hal/stm32f7/core/fault.h"
 
-#include <stddef.h>
-
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/handlers.h"
 #include "hal/stm32f7/core/kept.h"
@@ -9,16 +7,17 @@
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/stop.h"
 #include "nf_contract.h"
+#include "port/hal.h"
 
 #define NOTE_MAGIC 0x544C4146u /* "FALT" */
-/* A board that faults at each start would reset for ever: after so many faults in a row without fault_clear it stops
+/* A board that faults at each start would reset for ever: after so many faults in a row without hal_fault_clear it stops
  * and shows them by the LED. */
 #define FAULTS_IN_A_ROW_MAX 3u
 _Static_assert(NF_IMAGE_STARTS_MAX < FAULTS_IN_A_ROW_MAX, "a new image that faults gives way to the old one before");
 
-enum { EXCEPTION_NMI = 2 };            /* SCB_ICSR VECTACTIVE: only the clock failure raises it */
-enum { RESET_KEY = 0x05FA };           /* SCB_AIRCR VECTKEY */
-#define FRAME_BYTES 32u                /* what every exception stacks last: r0..r3, r12, lr, pc, psr */
+enum { EXCEPTION_NMI = 2 }; /* SCB_ICSR VECTACTIVE: only the clock failure raises it */
+enum { RESET_KEY = 0x05FA }; /* SCB_AIRCR VECTKEY */
+#define FRAME_BYTES 32u /* what every exception stacks last: r0..r3, r12, lr, pc, psr */
 
 /* Linker script. */
 extern uint32_t dtcm_start[], stack_top[];
@@ -34,7 +33,7 @@ static struct note {
 } note __attribute__((section(".noinit")));
 
 /* Set by fault_start. */
-static uint32_t reset_flags;       /* RCC_CSR as it was */
+static uint32_t reset_flags; /* RCC_CSR as it was */
 static uint32_t steps_before_reset;
 static bool armed_before_reset;
 
@@ -94,7 +93,7 @@ static uint32_t fault_kind_of_reset(void)
 	return (reset_flags & RCC_CSR_PORRSTF) != 0u ? FAULT_BROWN_OUT : FAULT_RESET;
 }
 
-bool fault_take(struct fault_record *record)
+bool hal_fault_take(struct fault_record *record)
 {
 	if (fault_noted()) {
 		*record = note.record;
@@ -109,7 +108,7 @@ bool fault_take(struct fault_record *record)
 	return true;
 }
 
-void fault_clear(void)
+void hal_fault_clear(void)
 {
 	note.magic = 0;
 	reset_flags = 0;

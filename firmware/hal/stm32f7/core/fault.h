@@ -1,10 +1,6 @@
 /* What stops the program: processor faults, failed assertions, a lost clock. Motors low first, then a record that
  * outlives the reset, then the reset. */
-#ifndef STM32F7_FAULT_H
-#define STM32F7_FAULT_H
-
-#include <stdbool.h>
-#include <stdint.h>
+#pragma once
 
 #include "nf_contract.h"
 
@@ -24,14 +20,8 @@ _Noreturn void fault_assert_failed(const char *file, uint32_t line);
 /* Reads the cause of the reset and clears it. Called first. */
 void fault_start(void);
 
-/* As hal_fault_take and hal_fault_clear. */
-bool fault_take(struct fault_record *record);
-void fault_clear(void);
-
 /* Control steps since boot, and whether the motors are armed, for the record. From the sample handler. */
 void fault_note_steps(uint32_t steps, bool armed);
 
 /* Motors low, then the chip starts anew: the image, or the boot loader in the ROM. */
 _Noreturn void fault_reset(bool into_rom);
-
-#endif

@@ -1,6 +1,5 @@
 /* Pins: set up once, written any time. The port's clock must run (clock_peripherals). */
-#ifndef STM32F7_GPIO_H
-#define STM32F7_GPIO_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -30,5 +29,3 @@ void gpio_input(struct pin pin, enum gpio_pull pull);
 void gpio_output(struct pin pin, bool high);
 /* Push-pull (where the peripheral drives), alternate function 0..15. */
 void gpio_alternate(struct pin pin, uint32_t function, enum gpio_pull pull, enum gpio_speed speed);
-
-#endif

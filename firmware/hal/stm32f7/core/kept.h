@@ -1,7 +1,6 @@
 /* What outlives a reset at a place that boot part and image both know, of whatever builds they are: the last words of
  * DTCM. After a loss of power they hold anything. */
-#ifndef STM32F7_KEPT_H
-#define STM32F7_KEPT_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -23,5 +22,3 @@ static inline bool kept_armed(void)
 {
 	return kept.armed == KEPT_ARMED + kept.steps;
 }
-
-#endif

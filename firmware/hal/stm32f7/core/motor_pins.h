@@ -1,6 +1,5 @@
 /* The pins of the motors: low, or connected to their timers. GPIO only, so that a fault can stop the motors. */
-#ifndef STM32F7_MOTOR_PINS_H
-#define STM32F7_MOTOR_PINS_H
+#pragma once
 
 #include <stddef.h>
 
@@ -12,5 +11,3 @@ void motor_pins_connect(size_t count);
 
 /* Disconnects all motors from their timers and drives the lines low, whatever state the chip is in. */
 void motor_pins_force_low(void);
-
-#endif

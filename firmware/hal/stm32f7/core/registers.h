@@ -8,8 +8,7 @@
  * PERIPHERAL_REGISTER_FIELD the mask of a field in place. FIELD(mask, value) puts a value there.
  * Manuals: RM0431 (STM32F72x/F73x reference manual), ARMv7-M (architecture reference manual, DDI 0403E),
  * Cortex-M7 TRM (DDI 0489). A chapter of RM0431 is named by its title, its register by its name. */
-#ifndef STM32F7_REGISTERS_H
-#define STM32F7_REGISTERS_H
+#pragma once
 
 #include <stdint.h>
 
@@ -365,5 +364,3 @@
 #define IRQ_EXTI3 9u
 #define IRQ_DMA2_STREAM2 58u
 #define IRQ_COUNT 104u /* the table's last number is SDMMC2, 103 */
-
-#endif

@@ -1,6 +1,5 @@
 /* Final stop: motors low, the LED flashes the cause. */
-#ifndef STM32F7_STOP_H
-#define STM32F7_STOP_H
+#pragma once
 
 /* Flashes of LED0 before each pause. */
 enum led_code {
@@ -11,5 +10,3 @@ enum led_code {
 
 /* Forces the motor lines low and shows `code` until power-off, feeding the watchdog. Any context, any clock. */
 _Noreturn void stop(enum led_code code);
-
-#endif

@@ -1,7 +1,6 @@
 /* Measured time: cycles bound waits, milliseconds serve the background. The control path counts gyro samples
  * instead. */
-#ifndef STM32F7_TIME_H
-#define STM32F7_TIME_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -41,5 +40,3 @@ void time_tick(void);
 
 /* Milliseconds since time_tick_start, wraps at 2^32. */
 uint32_t time_ms(void);
-
-#endif

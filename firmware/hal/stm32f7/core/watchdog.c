@@ -1,7 +1,5 @@
 #include "hal/stm32f7/core/watchdog.h"
 
-#include <stdbool.h>
-
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/time.h"
 

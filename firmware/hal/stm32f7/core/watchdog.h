@@ -1,6 +1,5 @@
 /* The independent watchdog: resets the board when it is not fed for half a second. It has its own clock. */
-#ifndef STM32F7_WATCHDOG_H
-#define STM32F7_WATCHDOG_H
+#pragma once
 
 #include "hal/stm32f7/core/registers.h"
 
@@ -22,5 +21,3 @@ static inline void watchdog_feed(void)
 {
 	IWDG_KR = WATCHDOG_FEED;
 }
-
-#endif

@@ -1,4 +1,4 @@
-#include "hal/stm32f7/devices/card_spi.h"
+#include "hal/stm32f7/devices/devices.h"
 
 #include "board.h"
 #include "hal/stm32f7/core/gpio.h"
@@ -20,7 +20,6 @@ static uint32_t started_ms;
 /* The order is the manual's (RM0431 SPI, communication using DMA). */
 static void card_start(void *context, size_t count)
 {
-	(void)context;
 	started_ms = time_ms();
 	SPI_CR2(BOARD_CARD_SPI) |= SPI_CR2_RXDMAEN;
 	dma_start(BOARD_CARD_DMA_RX, card_bytes, (uint32_t)count);
@@ -32,7 +31,6 @@ static void card_start(void *context, size_t count)
 /* The SPI is off between transfers. One that an error of the bus has stopped ends by time. */
 static bool card_done(void *context)
 {
-	(void)context;
 	if ((dma_busy(BOARD_CARD_DMA_RX) || (SPI_SR(BOARD_CARD_SPI) & SPI_SR_BSY) != 0u) &&
 	    time_ms() - started_ms <= TRANSFER_MS)
 		return false;
@@ -46,20 +44,17 @@ static bool card_done(void *context)
 
 static void card_select(void *context, bool selected)
 {
-	(void)context;
 	gpio_write(BOARD_CARD_CS, !selected);
 }
 
 static void card_speed(void *context, bool fast)
 {
-	(void)context;
 	SPI_CR1(BOARD_CARD_SPI) = SPI_CR1_MSTR | SPI_CR1_SSM | SPI_CR1_SSI |
 				  FIELD(SPI_CR1_BR, fast ? SPEED_13M5 : SPEED_211K);
 }
 
 static uint32_t card_milliseconds(void *context)
 {
-	(void)context;
 	return time_ms();
 }
 

@@ -1,4 +1,4 @@
-#include "hal/stm32f7/devices/gyro_chip.h"
+#include "hal/stm32f7/devices/devices.h"
 
 #include "board.h"
 #include "hal/stm32f7/core/clock.h"

@@ -1,8 +1,7 @@
-#include "hal/stm32f7/devices/log_uart.h"
+#include "hal/stm32f7/devices/devices.h"
 
 #include <string.h>
 
-#include "hal/stm32f7/devices/msp_uart.h"
 #include "hal/stm32f7/peripherals/uart_line.h"
 
 #define PORT 1u
@@ -12,19 +11,16 @@ static uint8_t state; /* enum nf_log_state */
 
 static void log_uart_step(void *context)
 {
-	(void)context;
 	uart_line_send(line);
 }
 
 static void log_uart_status(void *context, struct log_device_status *status)
 {
-	(void)context;
 	*status = (struct log_device_status){ .state = state };
 }
 
 static enum log_answer log_uart_begin(void *context)
 {
-	(void)context;
 	state = NF_LOG_STATE_LOGGING;
 	return LOG_DONE;
 }
@@ -34,7 +30,6 @@ static size_t log_uart_write(void *context, const uint8_t *bytes, size_t count)
 {
 	size_t room, taken = 0;
 
-	(void)context;
 	for (int buffer = 0; buffer < 2; ++buffer) {
 		uint8_t *const there = uart_line_room(line, &room);
 		const size_t part = count - taken < room ? count - taken : room;
@@ -49,7 +44,6 @@ static size_t log_uart_write(void *context, const uint8_t *bytes, size_t count)
 
 static enum log_answer log_uart_end(void *context)
 {
-	(void)context;
 	uart_line_send(line);
 	state = uart_line_sending(line) ? NF_LOG_STATE_ENDING : NF_LOG_STATE_READY;
 	return state == NF_LOG_STATE_READY ? LOG_DONE : LOG_LATER;

@@ -1,4 +1,4 @@
-#include "hal/stm32f7/devices/motors.h"
+#include "hal/stm32f7/devices/devices.h"
 
 #include "board.h"
 #include "hal/stm32f7/core/clock.h"
@@ -153,7 +153,6 @@ static __attribute__((cold, noinline)) void motors_restart(void)
 
 uint32_t motors_restarts(void *context)
 {
-	(void)context;
 	return restarts;
 }
 
@@ -190,7 +189,6 @@ static void motors_fill_alone(uint32_t *slots, uint32_t frame, const struct puls
 
 void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
 {
-	(void)context;
 	if (motors_busy()) {
 		if (++writes_dropped % STUCK_WRITES == 0)
 			motors_restart();

@@ -1,4 +1,4 @@
-#include "hal/stm32f7/devices/power.h"
+#include "hal/stm32f7/devices/devices.h"
 
 #include "board.h"
 #include "hal/stm32f7/core/gpio.h"
@@ -49,7 +49,7 @@ static uint16_t power_mean_mv(uint32_t channel)
 }
 _Static_assert(UINT32_MAX / REFERENCE_MV >= FULL_SCALE * ROUNDS, "mean_mv's product fits");
 
-void power_read(struct power_sample *power)
+void power_read(void *context, struct power_sample *power)
 {
 	power->valid = dma_complete(DMA_POWER);
 	power->volts_mv = power_mean_mv(0);

@@ -1,4 +1,4 @@
-#include "hal/stm32f7/devices/receiver_line.h"
+#include "hal/stm32f7/devices/devices.h"
 
 #include "board.h"
 #include "hal/stm32f7/core/clock.h"
@@ -68,7 +68,6 @@ static bool receiver_line_broken(uint32_t status)
 
 size_t receiver_line_read(void *context, uint8_t *bytes, size_t capacity)
 {
-	(void)context;
 	if (!started)
 		return 0;
 	const uint32_t status = USART_ISR(BOARD_RECEIVER_UART);

@@ -1,7 +1,6 @@
 /* One DMA stream: set up once, started for each transfer. Direct mode, one memory buffer.
  * With constant arguments every function folds into a few register accesses. */
-#ifndef STM32F7_DMA_H
-#define STM32F7_DMA_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -117,5 +116,3 @@ static inline uint32_t dma_remaining(struct dma_stream s)
 {
 	return DMA_SNDTR(s.controller, s.stream) & DMA_SNDTR_NDT;
 }
-
-#endif

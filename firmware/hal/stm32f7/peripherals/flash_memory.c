@@ -128,7 +128,7 @@ static __attribute__((noinline)) bool flash_memory_program_words(uint32_t addres
 	return good;
 }
 
-bool flash_memory_erase(unsigned sector)
+bool flash_memory_erase(void *context, unsigned sector)
 {
 	if (sector >= NF_FLASH_SECTORS_COUNT || !flash_memory_spare(flash_sectors[sector].address))
 		return false;
@@ -142,7 +142,7 @@ bool flash_memory_erase(unsigned sector)
 	return true;
 }
 
-bool flash_memory_program(uint32_t address, const void *words, size_t bytes)
+bool flash_memory_program(void *context, uint32_t address, const void *words, size_t bytes)
 {
 	const uint32_t *const from = words;
 	const size_t count = bytes / sizeof(uint32_t);

@@ -1,6 +1,5 @@
 /* Values of the flash interface's registers (RM0431 chapter 3), for image and boot part. */
-#ifndef STM32F7_FLASH_REGISTERS_H
-#define STM32F7_FLASH_REGISTERS_H
+#pragma once
 
 #include "hal/stm32f7/core/registers.h"
 
@@ -10,5 +9,3 @@
 
 enum { FLASH_PARALLEL_32 = 2 }; /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
 #define FLASH_ERRORS (FLASH_SR_OPERR | FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_ERSERR)
-
-#endif

@@ -1,6 +1,5 @@
 /* SPI1 as master, 8 bits, mode 3 (clock rests high, data taken on the rising edge). */
-#ifndef STM32F7_SPI_H
-#define STM32F7_SPI_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -28,5 +27,3 @@ bool spi_finish(void);
 
 /* Sets DMA up for spi_start. */
 void spi_dma_setup(void);
-
-#endif

@@ -1,8 +1,6 @@
 /* UARTs that receive into a ring by circular DMA: no interrupt of their own. */
-#ifndef STM32F7_UART_H
-#define STM32F7_UART_H
+#pragma once
 
-#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -25,5 +23,3 @@ void uart_ring_start(const struct uart_ring *ring, uint32_t uart);
 
 /* Takes received bytes, oldest first, at most `capacity`. Bytes that are not taken in time are overwritten. */
 size_t uart_ring_read(struct uart_ring *ring, uint8_t *bytes, size_t capacity);
-
-#endif

@@ -1,7 +1,6 @@
 /* A UART that talks both ways: receives into a ring by circular DMA, sends one of two buffers by DMA while the other is
  * being filled, without an interrupt of its own. Background only. */
-#ifndef STM32F7_UART_LINE_H
-#define STM32F7_UART_LINE_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -47,5 +46,3 @@ void uart_line_send(struct uart_line *line);
 
 /* Is anything on its way, its last bit not yet on the line? */
 bool uart_line_sending(const struct uart_line *line);
-
-#endif

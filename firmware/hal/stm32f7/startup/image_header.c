@@ -1,6 +1,5 @@
 /* The header of the image, behind its vectors. Its size comes from the linker; toolchain/image/stamp.py writes build and CRC into
  * the linked image. */
-#include <stdint.h>
 
 #include "board.h"
 #include "nf_contract.h"

@@ -2,8 +2,7 @@
  * reads: what a file system says of itself is never changed, and nothing of what it says is believed unchecked.
  *
  * Source: Microsoft, FAT: General Overview of On-Disk Format, version 1.03. */
-#ifndef NF_CARD_FILES_H
-#define NF_CARD_FILES_H
+#pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -66,5 +65,3 @@ uint32_t card_files_empty(const struct card_files *files);
 
 /* Where sectors `sector` to `sector` + `count` - 1 of `file` lie; SD_NO_BLOCK: they are not all in a sound file. */
 uint32_t card_files_place(const struct card_files *files, uint32_t file, uint32_t sector, uint32_t count);
-
-#endif

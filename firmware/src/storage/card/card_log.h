@@ -1,11 +1,9 @@
 /* Logs on an SD card: a flight fills the first empty file of card_files.h from its begin, through a ring that hides the
  * card's pauses. Of the file system nothing is written: whatever happens to card or power, it stays as the computer left
  * it, and the log in the file reaches as far as the last sector that the card took. */
-#ifndef NF_CARD_LOG_H
-#define NF_CARD_LOG_H
+#pragma once
 
 #include <stdbool.h>
-#include <stddef.h>
 #include <stdint.h>
 
 #include "port/log_device.h"
@@ -36,5 +34,3 @@ struct card_log {
 
 /* Nothing is moved yet. `device` is filled with what works on `log`. */
 void card_log_init(struct card_log *log, const struct sd_bus *bus, struct log_device *device);
-
-#endif

@@ -2,8 +2,7 @@
  * transfer of the bus, or looks whether the last one has ended.
  *
  * Source: SD Specifications Part 1, Physical Layer Simplified Specification: 4.3 and 7. */
-#ifndef NF_SD_CARD_H
-#define NF_SD_CARD_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -65,5 +64,3 @@ void sd_card_write(struct sd_card *card, uint32_t block, const uint8_t *bytes);
 /* Ends a sequence. SD_DONE: the card says that all is well. */
 void sd_card_finish(struct sd_card *card);
 void sd_card_erase(struct sd_card *card, uint32_t first, uint32_t last);
-
-#endif

@@ -1,6 +1,5 @@
 /* Checksums of SD cards (Physical Layer Simplified Specification 4.5). */
-#ifndef NF_SD_CRC_H
-#define NF_SD_CRC_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -9,5 +8,3 @@
 uint8_t sd_crc7(const uint8_t *bytes, size_t count);
 /* Returns the CRC-16 of data blocks: x^16 + x^12 + x^5 + 1. */
 uint16_t sd_crc16(const uint8_t *bytes, size_t count);
-
-#endif

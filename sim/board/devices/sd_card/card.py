@@ -10,21 +10,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from neuroflight.sim.board.core.context import TIME_HZ, BoardError
+from neuroflight.sim.board.core.context import TIME_HZ, BoardError, Kept
 from neuroflight.sim.board.core.engine import NEVER
 from neuroflight.sim.board.devices.sd_card.delays import CardTiming, Delays
 from neuroflight.sim.board.devices.sd_card.faults import CardFault, Cut, Event, Events, LineErrors
 from neuroflight.sim.board.devices.sd_card.image import CardImage
-from neuroflight.sim.board.devices.sd_card.protocol import COMMAND_BYTES, Protocol
+from neuroflight.sim.board.devices.sd_card.protocol import COMMAND_BYTES, Protocol, State
 from neuroflight.sim.board.devices.sd_card.registers import BUSY, RELEASED
-from neuroflight.sim.board.devices.sd_card.state import State
 from neuroflight.sim.board.devices.sd_card.store import Store
-from neuroflight.sim.board.registers.bus import Companion
 
-START_HZ, FULL_HZ = (
-    400_000,
-    25_000_000,
-)  # SCK at most, until the card is initialised and from then on (6.5, 7.5)
+START_HZ, FULL_HZ = 400_000, 25_000_000  # SCK at most, until the card is initialised and then (6.5, 7.5)
 START_CLOCKS = 74  # with the select line high, before the first command (6.4.1)
 SUPPLY = TIME_HZ // 1000  # from power to those clocks, 1 ms at least (6.4.1) [cycles]
 
@@ -33,8 +28,10 @@ def _raise(message: str) -> NoReturn:
     raise BoardError(message)
 
 
-class SdCard:
+class SdCard(Kept):
     """One SDHC card. It has its image file alone until `close`."""
+
+    kept = ("_fitted", "_powered", "_hot", "_powered_at", "_clocks", "_frame", "_transaction")
 
     def __init__(
         self, path: Path, *, seed: int = 0, timing: CardTiming | None = None, erased: int = 0x00
@@ -52,7 +49,9 @@ class SdCard:
         self._line, self._events = LineErrors(seed), Events()
         self._protocol = Protocol(self._store, self._delays, self._line, seed)
         self._protocol.before_write = self._happen_with_write
-        self._parts: tuple[Companion, ...] = (self._delays, self._store, self._line, self._events)
+        self._parts: tuple[Kept, ...] = (
+            *(self.image, self._delays, self._store, self._line, self._events, self._protocol),
+        )
         self._fitted, self._powered = True, True
         self._hot = False  # inserted with the power on, without a command since
         self._powered_at = 0
@@ -67,7 +66,6 @@ class SdCard:
 
     @property
     def fitted(self) -> bool:
-        """True if it is in its slot."""
         return self._fitted
 
     def schedule(
@@ -87,7 +85,6 @@ class SdCard:
         self._events.add(Event(kind, value, cycle, write, cut, kept_bytes))
 
     def power_off(self, cycle: int) -> None:
-        """Switch the supply off."""
         if self._powered:
             self._store.lose_power(cycle)
         self._powered = False
@@ -97,10 +94,9 @@ class SdCard:
         self.power_off(cycle)
         self._powered, self._powered_at, self._hot = True, cycle, False
         self._clocks, self._frame = 0, b""
-        self._protocol.state = State()
+        self._protocol.now = State()
 
     def close(self) -> None:
-        """Close the image file."""
         self.image.close()
 
     # ---- bytes ----
@@ -129,7 +125,7 @@ class SdCard:
 
     def steady(self, cycle: int, *, selected: bool) -> tuple[int, int]:
         """Return the byte that answers 0xFF from `cycle` on, and until which cycle; 0: unknown."""
-        state, until = self._protocol.state, self._events.next_cycle
+        state, until = self._protocol.now, self._events.next_cycle
         limit = NEVER if until is None else until
         if not (self._fitted and self._powered):
             return RELEASED, limit
@@ -159,16 +155,16 @@ class SdCard:
     def _check(self, hz: float, mode: int) -> None:
         if mode not in (0, 3):
             self.fail(f"the SD card is addressed in SPI mode {mode}, expected 0 or 3")
-        limit = START_HZ if self._protocol.state.idle else FULL_HZ
+        limit = START_HZ if self._protocol.now.idle else FULL_HZ
         if hz > limit:
-            when = "before it is initialised" if self._protocol.state.idle else "after its initialisation"
+            when = "before it is initialised" if self._protocol.now.idle else "after its initialisation"
             self.fail(
                 f"the SD card is clocked at {hz / 1e6:g} MHz {when}, expected {limit / 1e6:g} MHz at most"
             )
 
     def _answer(self, sent: bytes, at: int, length: int) -> bytes:
         """Answer some of `sent`, with the card selected and correctly clocked."""
-        state = self._protocol.state
+        state = self._protocol.now
         if state.wanted:
             part = sent[: state.wanted]
             self._protocol.receive(part, at + len(part) * length)
@@ -193,7 +189,7 @@ class SdCard:
 
     def _listen(self, byte: int, at: int, length: int) -> bytes:
         """Take a byte that may begin a command or block, while an answer is sent."""
-        state = self._protocol.state
+        state = self._protocol.now
         busy = not state.out and at < state.busy_until
         got, state.out = state.out[:1] or bytes([BUSY if busy else RELEASED]), state.out[1:]
         if self._frame:
@@ -202,7 +198,7 @@ class SdCard:
                 frame, self._frame = self._frame, b""
                 if state.spi or self._clocks >= START_CLOCKS:
                     self._protocol.command(frame, at + length)
-                    self._hot = self._hot and not self._protocol.state.spi
+                    self._hot = self._hot and not self._protocol.now.spi
         elif state.writing and not busy and self._protocol.token(byte, at + length):
             pass
         elif byte & 0xC0 == 0x40:
@@ -239,37 +235,32 @@ class SdCard:
         self.on_power_cut()
 
     def _apply(self, event: Event, at: int) -> None:
-        kind, value = event.kind, event.value
-        if kind is CardFault.STALL:
-            self._protocol.stall(at, round(value * TIME_HZ))
-        elif kind is CardFault.SLOW:
-            self._delays.factor = value
-        elif kind is CardFault.WORN:
-            self._store.worn_after = self._store.writes + int(value)
-        elif kind is CardFault.WORN_FROM:
-            self._store.worn_from = int(value)
-        elif kind is CardFault.ERRORS:
-            self._line.rate = value
-        elif kind is CardFault.REMOVED:
-            self.power_off(at)
-            self._fitted = False
-        elif kind is CardFault.INSERTED:
-            self.power_on(at)
-            self._fitted = self._hot = True
-        else:
-            self.power_off(at)
-            self.on_power_cut()
-
-    _KEPT = ("_fitted", "_powered", "_hot", "_powered_at", "_clocks", "_frame", "_transaction")
+        value = event.value
+        match event.kind:
+            case CardFault.STALL:
+                self._protocol.stall(at, round(value * TIME_HZ))
+            case CardFault.SLOW:
+                self._delays.factor = value
+            case CardFault.WORN:
+                self._store.worn_after = self._store.writes + int(value)
+            case CardFault.WORN_FROM:
+                self._store.worn_from = int(value)
+            case CardFault.ERRORS:
+                self._line.rate = value
+            case CardFault.REMOVED:
+                self.power_off(at)
+                self._fitted = False
+            case CardFault.INSERTED:
+                self.power_on(at)
+                self._fitted = self._hot = True
+            case CardFault.POWER_CUT:
+                self.power_off(at)
+                self.on_power_cut()
 
     def state(self) -> Any:  # noqa: ANN401
-        own = {name: getattr(self, name) for name in self._KEPT}
-        return (tuple(part.state() for part in self._parts), self._protocol.kept(), own)
+        return (tuple(part.state() for part in self._parts), super().state())
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
-        parts, protocol, own = state
-        for part, kept in zip(self._parts, parts, strict=True):
+        for part, kept in zip(self._parts, state[0], strict=True):
             part.restore(kept)
-        self._protocol.restore(protocol)
-        for name, value in own.items():
-            setattr(self, name, value)
+        super().restore(state[1])

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass
-from typing import Any
 
-from neuroflight.sim.board.core.context import TIME_HZ
+from neuroflight.sim.board.core.context import TIME_HZ, Kept
 from neuroflight.sim.board.devices.sd_card.registers import AU_BYTES, BLOCK
 
 Range = tuple[float, float]  # least and most [s]
@@ -35,8 +34,10 @@ class CardTiming:
     erase_unit: Range = (0.2e-3, 0.4e-3)  # more, for each allocation unit
 
 
-class Delays:
+class Delays(Kept):
     """A source of random times, in cycles of 216 MHz."""
+
+    kept = ("factor", "_random", "_last")
 
     def __init__(self, timing: CardTiming, seed: int) -> None:
         self.timing = timing
@@ -45,7 +46,6 @@ class Delays:
         self._last = 0  # cycle of the end of the last access
 
     def start(self) -> int:
-        """Draw the time of the initialisation."""
         return self._draw(self.timing.start)
 
     def write(self, at: int) -> int:
@@ -58,7 +58,6 @@ class Delays:
         return took
 
     def stop(self, at: int) -> int:
-        """Draw the busy time after the end of several blocks."""
         return self._ending(at, self._draw(self.timing.stop))
 
     def read(self, at: int, *, first: bool) -> int:
@@ -68,7 +67,6 @@ class Delays:
         return self._ending(at, self._draw(self.timing.next_read))
 
     def register(self) -> int:
-        """Draw the time until a register's data come."""
         return self._draw(self.timing.register)
 
     def erase(self, at: int, blocks: int) -> int:
@@ -81,13 +79,6 @@ class Delays:
     def choice(self, count: int) -> int:
         """Draw a number from 0 to below `count`."""
         return self._random.randrange(count)
-
-    def state(self) -> Any:  # noqa: ANN401
-        return (self.factor, self._random.getstate(), self._last)
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        self.factor, kept, self._last = state
-        self._random.setstate(kept)
 
     def _wake(self, at: int) -> int:
         rested = at - self._last > self.timing.rest * TIME_HZ

@@ -6,8 +6,8 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
+from neuroflight.sim.board.core.context import Kept
 from neuroflight.sim.board.devices.sd_card.registers import BLOCK
 
 
@@ -44,15 +44,16 @@ class Event:
     kept_bytes: int | None = None  # of a torn block, its new ones; None: by chance
 
 
-class Events:
+class Events(Kept):
     """The pending faults."""
+
+    kept = ("_timed", "_counted")
 
     def __init__(self) -> None:
         self._timed: list[Event] = []  # the next one first
         self._counted: list[Event] = []
 
     def add(self, event: Event) -> None:
-        """Add a fault."""
         assert (event.cycle is None) != (event.write is None), "a fault comes at a cycle or with a write"
         if event.cycle is None:
             self._counted.append(event)
@@ -77,15 +78,11 @@ class Events:
         self._counted = [event for event in self._counted if event.write != number]
         return came
 
-    def state(self) -> Any:  # noqa: ANN401
-        return (list(self._timed), list(self._counted))
 
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        self._timed, self._counted = (list(events) for events in state)
-
-
-class LineErrors:
+class LineErrors(Kept):
     """Bit errors between host and card."""
+
+    kept = ("rate", "_random")
 
     def __init__(self, seed: int) -> None:
         self.rate = 0.0  # share of commands and blocks
@@ -97,13 +94,6 @@ class LineErrors:
             return data
         bit = self._random.randrange(8 * len(data))
         return data[: bit // 8] + bytes([data[bit // 8] ^ 0x80 >> bit % 8]) + data[bit // 8 + 1 :]
-
-    def state(self) -> Any:  # noqa: ANN401
-        return (self.rate, self._random.getstate())
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        self.rate, kept = state
-        self._random.setstate(kept)
 
 
 def left_of(old: bytes, new: bytes, cut: Cut | None, kept: int | None, choose: Callable[[int], int]) -> bytes:

@@ -9,7 +9,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.context import BoardError, Kept
 from neuroflight.sim.board.devices.sd_card.registers import BLOCK, CAPACITY_UNIT
 from neuroflight.toolchain.errors import LinkError
 from neuroflight.toolchain.files import file_size
@@ -18,7 +18,7 @@ BYTES_MAX = 2 << 40  # of an SDXC card (Physical Layer Simplified Specification,
 _CHUNK = 2048  # blocks that are looked at together
 
 
-class CardImage:
+class CardImage(Kept):
     """A raw image that a computer has formatted, with or without a partition table.
 
     This process has it alone.
@@ -51,7 +51,6 @@ class CardImage:
         self._now: dict[int, bytes] = {}  # and as they are
 
     def read(self, block: int, count: int = 1) -> bytes:
-        """Read `count` blocks from `block` on."""
         return os.pread(self._file, count * BLOCK, block * BLOCK)
 
     def write(self, block: int, data: bytes) -> None:
@@ -90,7 +89,6 @@ class CardImage:
             return block  # a file system that does not know
 
     def close(self) -> None:
-        """Close the file."""
         if self._file >= 0:
             os.close(self._file)
         self._file = -1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from neuroflight.sim.board.core.context import BoardError
+from neuroflight.sim.board.core.context import BoardError, Kept
 from neuroflight.sim.board.devices.sd_card.card import SdCard
 from neuroflight.sim.board.devices.sd_card.faults import CardFault
 from neuroflight.sim.board.native.library import Native
@@ -13,24 +13,24 @@ from neuroflight.sim.board.peripherals.gpio import Pins
 CS = "PC1"  # pins.c knows it too
 
 
-class CardSlot:
+class CardSlot(Kept):
     """A slot with a card or, by default, without: then C answers 0xFF to every byte."""
 
     def __init__(self, native: Native, pins: Pins, card: SdCard | None) -> None:
-        self._native, self._context = native, native.engine
+        self._native, self._engine = native, native.engine
         self.card = card
         pins.drive(CS, True)  # a resistor holds it high
         if card is None:
             return
         self._in_c = native.library.native_card(native.handle)
         native.on_card = self._exchange
-        card.fail = self._context.fail
-        card.on_power_cut = lambda: self._context.system_reset("power")
+        card.fail = self._engine.fail
+        card.on_power_cut = lambda: self._engine.system_reset("power")
 
     def power_on(self) -> None:
         """Handle a gap of the supply."""
         if self.card is not None:
-            self.card.power_on(self._context.cycle)
+            self.card.power_on(self._engine.cycle)
             self._in_c.until = 0
 
     def strike(self, kind: CardFault, value: float = 0.0) -> None:
@@ -38,7 +38,7 @@ class CardSlot:
         if self.card is None:
             raise BoardError(f"the fault {kind.value} of a card: the board has none; put one in with --card")
         self._native.library.native_card_sync(self._native.handle)
-        self.card.schedule(kind, value, cycle=self._context.cycle)
+        self.card.schedule(kind, value, cycle=self._engine.cycle)
         self._in_c.until = 0
 
     def _exchange(self, sent: bytes, cycle: int, length: int, hz: float, mode: int) -> bytes:
@@ -52,7 +52,6 @@ class CardSlot:
         return got
 
     def close(self) -> None:
-        """Close the card's file."""
         if self.card is not None:
             self.card.close()
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from neuroflight.sim.board.core.context import Kept
 from neuroflight.sim.board.devices.sd_card.delays import Delays
 from neuroflight.sim.board.devices.sd_card.faults import Cut, left_of
 from neuroflight.sim.board.devices.sd_card.image import CardImage
 
 
-class Store:
-    """The card's memory."""
+class Store(Kept):
+    """The card's memory, whose blocks are those of `image`."""
+
+    kept = ("writes", "worn_after", "worn_from", "_unfinished")
 
     def __init__(self, image: CardImage, delays: Delays, erased: int) -> None:
         """erased: value of erased bytes, 0x00 or 0xFF."""
@@ -20,15 +21,6 @@ class Store:
         self.worn_from: int | None = None  # block; those from it on fail
         self._delays = delays
         self._unfinished: tuple[int, bytes, bytes, int] | None = None  # block, old, new, until which cycle
-
-    @property
-    def blocks(self) -> int:
-        """Number of blocks."""
-        return self.image.blocks
-
-    def read(self, block: int) -> bytes:
-        """Read a block."""
-        return self.image.read(block)
 
     def write(self, block: int, data: bytes) -> bool:
         """Begin to write a block, which `finish_at` ends; return True if it can be written."""
@@ -45,20 +37,9 @@ class Store:
         if self._unfinished is not None:
             self._unfinished = (*self._unfinished[:3], cycle)
 
-    def erase(self, first: int, last: int) -> None:
-        """Erase blocks `first` to `last`."""
-        self.image.erase(first, last, self.erased)
-
     def lose_power(self, cycle: int, cut: Cut | None = None, kept_bytes: int | None = None) -> None:
         """Cut the power at `cycle`: an unfinished block is old, new or torn."""
         if self._unfinished is not None and cycle < self._unfinished[3]:
             block, old, new, _ = self._unfinished
             self.image.write(block, left_of(old, new, cut, kept_bytes, self._delays.choice))
         self._unfinished = None
-
-    def state(self) -> Any:  # noqa: ANN401
-        return (self.image.state(), self.writes, self.worn_after, self.worn_from, self._unfinished)
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        image, self.writes, self.worn_after, self.worn_from, self._unfinished = state
-        self.image.restore(image)

@@ -3,7 +3,7 @@
 #ifndef NATIVE_API_H
 #define NATIVE_API_H
 
-#include "../../core/c/api.h"
+#include "../../core/c/base/api.h"
 
 enum {
 	NO_ADDRESS = 0xFFFFFFFF,
@@ -13,8 +13,8 @@ enum {
 	GYRO_BYTES = 14,
 };
 
-enum kind { PORT, SYSCFG, EXTI, DMA, SPI, TIMER };
-enum source { SPI_RX, SPI_TX, SPI3_RX, SPI3_TX, TIMER_SOURCE }; /* then five a timer: update, channels 1 to 4 */
+enum kind { PORT, SYSCFG, EXTI, DMA, SPI, TIMER, KINDS };
+enum source { SPI1_RX, SPI1_TX, SPI3_RX, SPI3_TX, TIMER_SOURCE }; /* then five a timer: update, channels 1 to 4 */
 
 /* What C asks the class of a device, which raises an error for what is wrong. */
 enum query {

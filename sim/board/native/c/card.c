@@ -2,7 +2,7 @@
  * (sim/board/devices/sd_card). */
 #include <string.h>
 
-#include "card.h"
+#include "peripherals.h"
 
 enum { RELEASED = 0xFF }; /* the line, which a resistor pulls up */
 

@@ -1,12 +1,7 @@
 /* The native peripherals as a whole: the engine's accesses and alarms go to them or to Python; what Python sets up. */
 #include <stdlib.h>
 
-#include "dma.h"
-#include "gyro_chip.h"
-#include "pins.h"
-#include "spi.h"
-#include "timer.h"
-#include "watchdog.h"
+#include "peripherals.h"
 
 /* ---- the engine's callbacks ---- */
 
@@ -86,7 +81,7 @@ static void dispatch_alarm(void *user, uint32_t alarm)
 
 	n->failed = false;
 	for (uint32_t i = 0; i < SPIS; ++i) {
-		if (alarm == n->alarms[n->spis[i]]) {
+		if (alarm == n->alarms[n->devices[SPI][i]]) {
 			spi_sync(n, i);
 			spi_start(n, i);
 			return;
@@ -101,27 +96,13 @@ static void dispatch_alarm(void *user, uint32_t alarm)
 		return;
 	}
 	for (uint32_t t = 0; t < TIMERS; ++t) {
-		if (alarm == n->alarms[n->timer_devices[t]]) {
+		if (alarm == n->alarms[n->devices[TIMER][t]]) {
 			timer_sync(n, t);
 			timer_plan(n, t);
 			return;
 		}
 	}
 	n->python.alarm(n->python.user, alarm);
-}
-
-static void dispatch_flash(void *user, uint32_t address, uint32_t size, uint32_t value)
-{
-	struct native *const n = user;
-
-	n->python.flash(n->python.user, address, size, value);
-}
-
-static void dispatch_rom(void *user)
-{
-	struct native *const n = user;
-
-	n->python.rom(n->python.user);
 }
 
 static void dispatch_sleep(void *user)
@@ -163,8 +144,8 @@ struct native *native_new(struct engine *e, const struct callbacks *python, cons
 	for (uint32_t i = 0; i < 2u * STREAMS; ++i)
 		for (uint32_t k = 0; k < SHARED; ++k)
 			n->s.streams[i / STREAMS][i % STREAMS].sources[k] = -1;
-	const struct callbacks own = {
-		dispatch_read, dispatch_write, dispatch_alarm, dispatch_flash, dispatch_sleep, dispatch_rom, n,
+	const struct callbacks own = { /* Python's do not look at `user` */
+		dispatch_read, dispatch_write, dispatch_alarm, python->flash, dispatch_sleep, python->rom, n,
 	};
 
 	engine_callbacks(e, &own);
@@ -184,14 +165,9 @@ uint32_t native_device(struct native *n, uint32_t kind, uint32_t number, uint32_
 	n->numbers[device] = (uint8_t)number;
 	n->bases[device] = base;
 	n->alarms[device] = alarm;
-	switch (kind) {
-	case PORT: n->ports[number] = device; break;
-	case SYSCFG: n->syscfg = device; break;
-	case EXTI: n->exti = device; break;
-	case DMA: n->controllers[number] = device; break;
-	case SPI: n->spis[number] = device; break;
-	default: n->timer_devices[number] = device; n->advanced[number] = advanced; break;
-	}
+	n->devices[kind][number] = device;
+	if (kind == TIMER)
+		n->advanced[number] = advanced;
 	return device;
 }
 

@@ -5,7 +5,7 @@
  * still shows the right count at every cycle. */
 #include <string.h>
 
-#include "dma.h"
+#include "peripherals.h"
 
 enum { LISR = 0, HISR = 1, LIFCR = 2, HIFCR = 3 };
 enum { S_CR = 4, S_NDTR = 5, S_PAR = 6, S_M0AR = 7, S_STEP = 6 }; /* words of stream 0 */
@@ -15,7 +15,7 @@ enum { FLAG_HT = 1u << 4, FLAG_TC = 1u << 5, FLAGS = 0x3Du, FLAGS_WITH_INTERRUPT
 
 static uint32_t *dma_words(struct native *n, uint32_t controller, uint32_t stream)
 {
-	return device_words(n, n->controllers[controller]) + S_CR + S_STEP * stream;
+	return device_words(n, n->devices[DMA][controller]) + S_CR + S_STEP * stream;
 }
 
 static uint32_t dma_shift(uint32_t stream)
@@ -25,7 +25,7 @@ static uint32_t dma_shift(uint32_t stream)
 
 static void dma_update(struct native *n, uint32_t controller, uint32_t stream)
 {
-	const uint32_t device = n->controllers[controller];
+	const uint32_t device = n->devices[DMA][controller];
 	const uint32_t flags = device_words(n, device)[stream < 4u ? LISR : HISR] >> dma_shift(stream) & FLAGS_WITH_INTERRUPT;
 	/* DMEIE TEIE HTIE TCIE are bits 1 to 4, their flags bits 2 to 5. */
 	const uint32_t enabled = (dma_words(n, controller, stream)[0] & CR_INTERRUPTS) << 1;
@@ -35,7 +35,7 @@ static void dma_update(struct native *n, uint32_t controller, uint32_t stream)
 
 static void dma_raise(struct native *n, uint32_t controller, uint32_t stream, uint32_t flags)
 {
-	device_words(n, n->controllers[controller])[stream < 4u ? LISR : HISR] |= flags << dma_shift(stream);
+	device_words(n, n->devices[DMA][controller])[stream < 4u ? LISR : HISR] |= flags << dma_shift(stream);
 	dma_update(n, controller, stream);
 }
 
@@ -96,9 +96,7 @@ static void dma_sync_all(struct native *n, uint32_t controller, uint32_t stream)
 /* Sets the alarm only for what interrupts or shows by itself: otherwise the driver moves at the next read. */
 static void dma_source_plan(struct native *n, uint32_t source)
 {
-	const int16_t place = n->s.stream_of[source];
-	const bool rings = place < 0 || (n->s.quiet >> source & 1u) == 0u ||
-		(dma_words(n, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
+	const bool rings = n->s.stream_of[source] < 0 || (n->s.quiet >> source & 1u) == 0u || native_rings(n, source);
 
 	if (n->s.source_alarms[source] != UINT32_MAX)
 		engine_set_alarm(n->e, n->s.source_alarms[source], rings ? n->s.due[source] : NEVER);
@@ -118,7 +116,7 @@ void native_wake(struct native *n, uint32_t source, uint32_t alarm, uint64_t cyc
 static void dma_flags_sync(struct native *n, uint32_t controller, uint32_t stream)
 {
 	const int32_t source = n->s.streams[controller][stream].sources[0];
-	const uint32_t flags = device_words(n, n->controllers[controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
+	const uint32_t flags = device_words(n, n->devices[DMA][controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
 	const bool rounds = (dma_words(n, controller, stream)[0] & CR_CIRC) != 0u;
 
 	if (source >= PYTHON_SOURCE && rounds && (n->lazy & n->s.quiet) >> source & 1u &&
@@ -133,60 +131,56 @@ void native_sync(struct native *n, uint32_t controller)
 		dma_sync_all(n, controller, stream);
 }
 
-uint32_t native_until_flag(struct native *n, uint32_t source)
+/* The stream that serves a request; NULL: none is enabled. */
+static const struct stream *dma_serving(const struct native *n, uint32_t source)
 {
 	const int16_t place = n->s.stream_of[source];
 
-	if (place < 0)
-		return 0;
-	const struct stream *const s = &n->s.streams[place / STREAMS][place % STREAMS];
-	const uint32_t half = s->total - s->total / 2u;
+	return place < 0 ? NULL : &n->s.streams[place / STREAMS][place % STREAMS];
+}
 
-	return (s->moved < half ? half : s->total) - s->moved;
+/* A word of that stream, from its CR on; 0 without one. */
+static uint32_t dma_serving_word(const struct native *n, uint32_t source, uint32_t word)
+{
+	const int16_t place = n->s.stream_of[source];
+
+	return place < 0 ? 0 : n->s.words[n->devices[DMA][place / STREAMS]][S_CR + S_STEP * ((uint32_t)place % STREAMS) + word];
+}
+
+uint32_t native_until_flag(struct native *n, uint32_t source)
+{
+	const struct stream *const s = dma_serving(n, source);
+
+	return s == NULL ? 0 : (s->moved < s->total - s->total / 2u ? s->total - s->total / 2u : s->total) - s->moved;
 }
 
 uint32_t native_total(struct native *n, uint32_t source)
 {
-	const int16_t place = n->s.stream_of[source];
+	const struct stream *const s = dma_serving(n, source);
 
-	return place < 0 ? 0 : n->s.streams[place / STREAMS][place % STREAMS].total;
+	return s == NULL ? 0 : s->total;
 }
 
 uint32_t native_available(struct native *n, uint32_t source)
 {
-	const int16_t place = n->s.stream_of[source];
+	const struct stream *const s = dma_serving(n, source);
 
-	if (place < 0)
-		return 0;
-	const struct stream *const s = &n->s.streams[place / STREAMS][place % STREAMS];
-
-	return s->total - s->moved;
+	return s == NULL ? 0 : s->total - s->moved;
 }
 
 uint32_t native_target(struct native *n, uint32_t source)
 {
-	const int16_t place = n->s.stream_of[source];
-
-	return place < 0 ? 0 : dma_words(n, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[2];
+	return dma_serving_word(n, source, S_PAR - S_CR);
 }
 
 bool native_circular(struct native *n, uint32_t source)
 {
-	const int16_t place = n->s.stream_of[source];
-
-	return place >= 0 &&
-	       (dma_words(n, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_CIRC) != 0u;
+	return (dma_serving_word(n, source, 0) & CR_CIRC) != 0u;
 }
 
 bool native_rings(const struct native *n, uint32_t source)
 {
-	const int16_t place = n->s.stream_of[source];
-
-	if (place < 0)
-		return false;
-	const uint32_t device = n->controllers[place / STREAMS];
-
-	return (n->s.words[device][S_CR + S_STEP * ((uint32_t)place % STREAMS)] & CR_INTERRUPTS) != 0u;
+	return (dma_serving_word(n, source, 0) & CR_INTERRUPTS) != 0u;
 }
 
 static void dma_advance(struct native *n, uint32_t controller, uint32_t stream, uint32_t count)
@@ -230,7 +224,7 @@ static uint32_t dma_move(struct native *n, uint32_t source, uint32_t *items, uin
 		const uint32_t address = w[3];
 
 		if (address >= SRAM_BASE && address < SRAM_END && engine_cached(n->e, address)) {
-			native_query(n, QUERY_CACHED, n->controllers[controller], stream, address);
+			native_query(n, QUERY_CACHED, n->devices[DMA][controller], stream, address);
 			return done;
 		}
 		uint8_t *at = engine_memory(n->e, address + s->moved * step, step ? part * size : size);
@@ -276,18 +270,18 @@ static void dma_enable(struct native *n, uint32_t controller, uint32_t stream)
 	struct stream *const s = &n->s.streams[controller][stream];
 	uint32_t *const w = dma_words(n, controller, stream);
 	const uint32_t cr = w[0] & ~(uint32_t)CR_INTERRUPTS;
-	const uint32_t flags = device_words(n, n->controllers[controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
+	const uint32_t flags = device_words(n, n->devices[DMA][controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
 	static const int32_t none[SHARED] = {-1, -1, -1};
 	const bool cached = w[3] >= SRAM_BASE && w[3] < SRAM_END && engine_cached(n->e, w[3]);
 
 	if (engine_stored(n->e)) {
-		native_query(n, QUERY_BARRIER, n->controllers[controller], stream, 0);
+		native_query(n, QUERY_BARRIER, n->devices[DMA][controller], stream, 0);
 		return;
 	}
 	if (cached || (flags & FLAGS) != 0u || s->epoch != n->s.epoch || s->cr != cr || s->par != w[2] || s->m0ar != w[3] ||
 	    s->ndtr != w[1]) {
 		memcpy(s->valid, none, sizeof none);
-		native_query(n, QUERY_ENABLE, n->controllers[controller], stream, 0);
+		native_query(n, QUERY_ENABLE, n->devices[DMA][controller], stream, 0);
 		if (n->failed)
 			return;
 		s->cr = cr, s->ndtr = w[1], s->par = w[2], s->m0ar = w[3], s->epoch = n->s.epoch;
@@ -302,7 +296,7 @@ static void dma_enable(struct native *n, uint32_t controller, uint32_t stream)
 	s->moved = 0;
 	for (uint32_t i = 0; i < SHARED && s->sources[i] >= 0; ++i) {
 		if (n->s.stream_of[s->sources[i]] >= 0) {
-			native_query(n, QUERY_TWICE, n->controllers[controller], stream, (uint32_t)s->sources[i]);
+			native_query(n, QUERY_TWICE, n->devices[DMA][controller], stream, (uint32_t)s->sources[i]);
 			return;
 		}
 		n->s.stream_of[s->sources[i]] = (int16_t)(controller * STREAMS + stream);
@@ -312,14 +306,14 @@ static void dma_enable(struct native *n, uint32_t controller, uint32_t stream)
 
 static void dma_write_cr(struct native *n, uint32_t controller, uint32_t stream, uint32_t value)
 {
-	const uint32_t device = n->controllers[controller], word = S_CR + S_STEP * stream;
+	const uint32_t device = n->devices[DMA][controller], word = S_CR + S_STEP * stream;
 	struct stream *const s = &n->s.streams[controller][stream];
 
 	dma_sync_all(n, controller, stream);
 	const uint32_t before = device_words(n, device)[word];
 
 	if ((before & CR_EN) != 0u && ((before ^ value) & ~(uint32_t)(CR_EN | CR_INTERRUPTS)) != 0u) {
-		native_query(n, QUERY_CHANGED, n->controllers[controller], stream, value);
+		native_query(n, QUERY_CHANGED, n->devices[DMA][controller], stream, value);
 		return;
 	}
 	device_keep(n, device, word, value);
@@ -387,7 +381,7 @@ void dma_write(struct native *n, uint32_t device, uint32_t word, uint32_t value)
 	}
 	dma_sync(n, controller, stream);
 	if ((device_words(n, device)[S_CR + S_STEP * stream] & CR_EN) != 0u)
-		native_query(n, QUERY_FROZEN, n->controllers[controller], stream, word);
+		native_query(n, QUERY_FROZEN, n->devices[DMA][controller], stream, word);
 	else
 		device_keep(n, device, word, value);
 }
@@ -402,7 +396,7 @@ void dma_reset(struct native *n, uint32_t controller)
 	for (uint32_t i = 0; i < STREAMS; ++i) {
 		dma_unlink(n, controller, i);
 		n->s.streams[controller][i].total = n->s.streams[controller][i].moved = 0;
-		engine_irq(n->e, n->irqs[n->controllers[controller]][i], false);
+		engine_irq(n->e, n->irqs[n->devices[DMA][controller]][i], false);
 	}
 }
 
@@ -415,6 +409,6 @@ void dma_sleep(struct native *n)
 			continue;
 		dma_sync_all(n, controller, stream); /* it may have ended */
 		if (dma_reads_dtcm(dma_words(n, controller, stream)))
-			native_query(n, QUERY_ASLEEP, n->controllers[controller], stream, 0);
+			native_query(n, QUERY_ASLEEP, n->devices[DMA][controller], stream, 0);
 	}
 }

@@ -1,5 +1,5 @@
 /* The ESCs on the motors' lines: DShot frames out of trains of pulses (sim/board/devices/esc.py says what a frame is). */
-#include "esc.h"
+#include "peripherals.h"
 
 enum { GAP = 432 }; /* least rest before a frame: 2 us [cycles] */
 
@@ -42,7 +42,7 @@ void esc_show(struct native *n, uint32_t t, uint32_t channel, uint64_t start, ui
 	struct train *const train = &n->s.timers[t].trains[channel];
 
 	if (train->count != 0u && (train->length != length || train->start + train->count * length != start)) {
-		n->callbacks.pulses(n->timer_devices[t], channel + 1u, train->start, train->length, train->count, train->highs);
+		n->callbacks.pulses(n->devices[TIMER][t], channel + 1u, train->start, train->length, train->count, train->highs);
 		train->count = 0;
 	}
 	if (train->count == 0u) {
@@ -54,7 +54,7 @@ void esc_show(struct native *n, uint32_t t, uint32_t channel, uint64_t start, ui
 	train->highs[train->count++] = high;
 	if (high == 0u || train->count == TRAIN) {
 		if (high == 0u || !esc_take(n, t, channel, train))
-			n->callbacks.pulses(n->timer_devices[t], channel + 1u, train->start, length, train->count, train->highs);
+			n->callbacks.pulses(n->devices[TIMER][t], channel + 1u, train->start, length, train->count, train->highs);
 		train->count = 0;
 	}
 }

@@ -2,8 +2,7 @@
  * (sim/board/devices/gyro_chip.py). */
 #include <string.h>
 
-#include "gyro_chip.h"
-#include "pins.h"
+#include "peripherals.h"
 
 enum { READY_PORT = 2, READY_PIN = 3 };
 enum { DATA = 0x3B, READ = 0x80 };

@@ -106,7 +106,7 @@ struct native {
 	uint8_t kinds[DEVICES], numbers[DEVICES]; /* number: among its kind */
 	int16_t device_of[WINDOWS];
 	uint32_t device_count;
-	uint32_t ports[PORTS], controllers[2], timer_devices[TIMERS], spis[SPIS], exti, syscfg; /* devices */
+	uint32_t devices[KINDS][STREAMS]; /* by their kind and number */
 	uint32_t bases[DEVICES];
 	uint32_t irqs[DEVICES][STREAMS];
 	uint32_t alarms[DEVICES];

@@ -1,5 +1,5 @@
 /* GPIO and EXTI (RM0431 6 and 11): levels of pins, edges, pending bits and interrupts. */
-#include "pins.h"
+#include "peripherals.h"
 
 /* ---- EXTI ---- */
 
@@ -8,29 +8,29 @@ enum { EXTI_IMR = 0, EXTI_RTSR = 2, EXTI_FTSR = 3, EXTI_SWIER = 4, EXTI_PR = 5 }
 void exti_update(struct native *n)
 {
 	static const uint32_t lines[STREAMS] = {1u << 0, 1u << 1, 1u << 2, 1u << 3, 1u << 4, 0x03E0u, 0xFC00u, 1u << 16};
-	const uint32_t *const w = device_words(n, n->exti);
+	const uint32_t *const w = device_words(n, n->devices[EXTI][0]);
 	const uint32_t pending = w[EXTI_PR] & w[EXTI_IMR], changed = pending ^ n->s.exti_asserted;
 
 	n->s.exti_asserted = pending;
 	for (uint32_t i = 0; changed != 0u && i < STREAMS; ++i)
 		if (changed & lines[i])
-			engine_irq(n->e, n->irqs[n->exti][i], (pending & lines[i]) != 0u);
+			engine_irq(n->e, n->irqs[n->devices[EXTI][0]][i], (pending & lines[i]) != 0u);
 }
 
 bool exti_watches_fall(const struct native *n, uint32_t line)
 {
-	return n->s.words[n->exti][EXTI_FTSR] >> line & 1u;
+	return n->s.words[n->devices[EXTI][0]][EXTI_FTSR] >> line & 1u;
 }
 
 /* The level on pin `line` of `port` has changed. */
 static void exti_edge(struct native *n, uint32_t port, uint32_t line, bool rising)
 {
-	uint32_t *const w = device_words(n, n->exti);
+	uint32_t *const w = device_words(n, n->devices[EXTI][0]);
 
-	if ((w[rising ? EXTI_RTSR : EXTI_FTSR] >> line & 1u) == 0u || !n->s.clocked[n->syscfg])
+	if ((w[rising ? EXTI_RTSR : EXTI_FTSR] >> line & 1u) == 0u || !n->s.clocked[n->devices[SYSCFG][0]])
 		return;
 	/* EXTICR1 to 4 are words 2 to 5, four bits a line. */
-	if ((device_words(n, n->syscfg)[2u + line / 4u] >> 4u * (line % 4u) & 15u) != port)
+	if ((device_words(n, n->devices[SYSCFG][0])[2u + line / 4u] >> 4u * (line % 4u) & 15u) != port)
 		return;
 	w[EXTI_PR] |= 1u << line;
 	exti_update(n);
@@ -38,13 +38,13 @@ static void exti_edge(struct native *n, uint32_t port, uint32_t line, bool risin
 
 void exti_write(struct native *n, uint32_t word, uint32_t value)
 {
-	uint32_t *const w = device_words(n, n->exti);
+	uint32_t *const w = device_words(n, n->devices[EXTI][0]);
 
 	if (word == EXTI_PR) {
 		w[EXTI_PR] &= ~value;
 		w[EXTI_SWIER] &= ~value;
 	} else {
-		const uint32_t changed = device_keep(n, n->exti, word, value);
+		const uint32_t changed = device_keep(n, n->devices[EXTI][0], word, value);
 
 		if (word == EXTI_SWIER)
 			w[EXTI_PR] |= changed & w[EXTI_SWIER] & w[EXTI_IMR];
@@ -59,7 +59,7 @@ static const uint8_t cs_pins[SPIS] = {2, 1};
 
 static bool pins_level(const struct native *n, uint32_t port, uint32_t pin)
 {
-	const uint32_t *const w = n->s.words[n->ports[port]];
+	const uint32_t *const w = n->s.words[n->devices[PORT][port]];
 	const bool odr = (w[ODR] >> pin & 1u) != 0u;
 
 	if ((w[MODER] >> 2u * pin & 3u) == 1u && !((w[OTYPER] >> pin & 1u) != 0u && odr))
@@ -85,7 +85,7 @@ void pins_tell(struct native *n, uint32_t port)
 
 		if (level != (n->s.told[port] >> pin & 1u)) {
 			n->s.told[port] ^= (uint16_t)(1u << pin);
-			n->callbacks.pin(n->ports[port], pin, level);
+			n->callbacks.pin(n->devices[PORT][port], pin, level);
 		}
 	}
 }

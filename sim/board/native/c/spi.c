@@ -3,10 +3,7 @@
  * One alarm marks the end of a transfer by DMA; a register that is read before shows the bytes that have passed until then. */
 #include <string.h>
 
-#include "card.h"
-#include "gyro_chip.h"
-#include "pins.h"
-#include "spi.h"
+#include "peripherals.h"
 
 enum { GYRO_SPI = 0, CARD_SPI = 1 }; /* places among the SPIs */
 enum { SPE = 1u << 6, RXDMAEN = 1u << 0, TXDMAEN = 1u << 1, ERRIE = 1u << 5, RXNEIE = 1u << 6, TXEIE = 1u << 7 };
@@ -14,26 +11,31 @@ enum { SPI_CR1 = 0, SPI_CR2 = 1, SPI_SR = 2 }; /* words; SPI_DR: spi.h */
 enum { FRXTH = 1u << 12 };
 enum { SR_RXNE = 1u << 0, SR_TXE = 1u << 1, SR_OVR = 1u << 6, SR_BSY = 1u << 7 };
 
+static uint32_t *spi_words(struct native *n, uint32_t i)
+{
+	return device_words(n, n->devices[SPI][i]);
+}
+
 /* The requests of bus `i`. */
 static uint32_t spi_rx(uint32_t i)
 {
-	return SPI_RX + 2u * i;
+	return SPI1_RX + 2u * i;
 }
 
 static uint32_t spi_tx(uint32_t i)
 {
-	return SPI_TX + 2u * i;
+	return SPI1_TX + 2u * i;
 }
 
 static uint64_t spi_byte_cycles(const struct native *n, uint32_t i)
 {
-	return 8u * (2u << (n->s.words[n->spis[i]][SPI_CR1] >> 3 & 7u)) * TIME_HZ / n->s.spis[i].clock;
+	return 8u * (2u << (n->s.words[n->devices[SPI][i]][SPI_CR1] >> 3 & 7u)) * TIME_HZ / n->s.spis[i].clock;
 }
 
 /* Bytes in memory. */
 static uint32_t spi_waiting(struct native *n, uint32_t i)
 {
-	const uint32_t *const w = device_words(n, n->spis[i]);
+	const uint32_t *const w = spi_words(n, i);
 
 	return (w[SPI_CR1] & SPE) != 0u && (w[SPI_CR2] & TXDMAEN) != 0u ? native_available(n, spi_tx(i)) : 0u;
 }
@@ -50,7 +52,7 @@ static uint32_t spi_status(const struct native *n, uint32_t i)
 {
 	static const uint8_t levels[] = {0, 1, 2, 3, 3, 3};
 	const struct spi *const s = &n->s.spis[i];
-	const uint32_t level = spi_level(n, i), enough = n->s.words[n->spis[i]][SPI_CR2] & FRXTH ? 1u : 2u;
+	const uint32_t level = spi_level(n, i), enough = n->s.words[n->devices[SPI][i]][SPI_CR2] & FRXTH ? 1u : 2u;
 
 	return (s->received_count >= enough ? SR_RXNE : 0u) | (level <= FIFO_BYTES / 2 ? SR_TXE : 0u) |
 	       (s->overrun ? SR_OVR : 0u) | (s->begun != NEVER ? SR_BSY : 0u) |
@@ -59,12 +61,10 @@ static uint32_t spi_status(const struct native *n, uint32_t i)
 
 static void spi_update(struct native *n, uint32_t i)
 {
-	const uint32_t status = spi_status(n, i), enables = device_words(n, n->spis[i])[SPI_CR2];
+	const uint32_t enables = spi_words(n, i)[SPI_CR2];
+	const uint32_t causes = (enables & RXNEIE ? SR_RXNE : 0u) | (enables & TXEIE ? SR_TXE : 0u) | (enables & ERRIE ? SR_OVR : 0u);
 
-	engine_irq(n->e, n->irqs[n->spis[i]][0],
-		   ((status & SR_RXNE) != 0u && (enables & RXNEIE) != 0u) ||
-			   ((status & SR_TXE) != 0u && (enables & TXEIE) != 0u) ||
-			   ((status & SR_OVR) != 0u && (enables & ERRIE) != 0u));
+	engine_irq(n->e, n->irqs[n->devices[SPI][i]][0], (spi_status(n, i) & causes) != 0u);
 }
 
 /* Fills the FIFO from memory. */
@@ -82,7 +82,7 @@ static void spi_fetch(struct native *n, uint32_t i)
 static void spi_answer(struct native *n, uint32_t i, uint8_t *bytes, uint32_t count, uint64_t cycle)
 {
 	const struct spi *const s = &n->s.spis[i];
-	const uint32_t cr1 = device_words(n, n->spis[i])[SPI_CR1], mode = cr1 & 3u; /* CPHA, CPOL */
+	const uint32_t cr1 = spi_words(n, i)[SPI_CR1], mode = cr1 & 3u; /* CPHA, CPOL */
 	const double hz = (double)s->clock / (double)(2u << (cr1 >> 3 & 7u));
 
 	if (i == CARD_SPI) {
@@ -96,7 +96,7 @@ static void spi_answer(struct native *n, uint32_t i, uint8_t *bytes, uint32_t co
 		if (n->bit_errors)
 			n->callbacks.errors(bytes, count);
 	} else {
-		const uint32_t *const port = device_words(n, n->ports[0]);
+		const uint32_t *const port = device_words(n, n->devices[PORT][0]);
 
 		memset(bytes, (port[PUPDR] >> 12 & 3u) == 1u ? 0xFF : 0x00, count); /* MISO is PA6 */
 	}
@@ -109,7 +109,7 @@ static void spi_exchange(struct native *n, uint32_t i, uint8_t *bytes, uint32_t 
 	uint32_t items[PERIODS], given = 0;
 
 	spi_answer(n, i, bytes, count, cycle);
-	if (device_words(n, n->spis[i])[SPI_CR2] & RXDMAEN) {
+	if (spi_words(n, i)[SPI_CR2] & RXDMAEN) {
 		for (uint32_t k = 0; k < count; ++k)
 			items[k] = bytes[k];
 		const uint32_t available = native_available(n, spi_rx(i));
@@ -172,7 +172,7 @@ void spi_sync(struct native *n, uint32_t i)
 void spi_plan(struct native *n, uint32_t i)
 {
 	const struct spi *const s = &n->s.spis[i];
-	const uint32_t cr2 = device_words(n, n->spis[i])[SPI_CR2];
+	const uint32_t cr2 = spi_words(n, i)[SPI_CR2];
 	const uint64_t waiting = spi_waiting(n, i);
 	uint64_t left = 0; /* bytes until something shows by itself; 0: nothing does */
 
@@ -188,20 +188,20 @@ void spi_plan(struct native *n, uint32_t i)
 		if ((cr2 & (RXNEIE | TXEIE)) != 0u)
 			left = 1;
 	}
-	engine_set_alarm(n->e, n->alarms[n->spis[i]], left == 0u ? NEVER : s->begun + left * spi_byte_cycles(n, i));
+	engine_set_alarm(n->e, n->alarms[n->devices[SPI][i]], left == 0u ? NEVER : s->begun + left * spi_byte_cycles(n, i));
 }
 
 /* Begins with what waits, if anything does. */
 void spi_start(struct native *n, uint32_t i)
 {
 	struct spi *const s = &n->s.spis[i];
-	const uint32_t *const w = device_words(n, n->spis[i]);
+	const uint32_t *const w = spi_words(n, i);
 
 	if (s->begun == NEVER && (w[SPI_CR1] & SPE) != 0u) {
 		spi_fetch(n, i);
 		if (s->sending_count != 0u) {
 			if (s->epoch != n->s.epoch || s->cr1 != w[SPI_CR1] || s->cr2 != w[SPI_CR2]) {
-				native_query(n, QUERY_SEND, n->spis[i], 0, 0);
+				native_query(n, QUERY_SEND, n->devices[SPI][i], 0, 0);
 				if (n->failed)
 					return;
 				s->epoch = n->s.epoch;
@@ -250,8 +250,8 @@ void spi_reset(struct native *n, uint32_t i)
 
 	s->sending_count = s->received_count = s->last = s->overrun = 0;
 	s->begun = NEVER;
-	engine_set_alarm(n->e, n->alarms[n->spis[i]], NEVER);
-	engine_irq(n->e, n->irqs[n->spis[i]][0], false);
+	engine_set_alarm(n->e, n->alarms[n->devices[SPI][i]], NEVER);
+	engine_irq(n->e, n->irqs[n->devices[SPI][i]][0], false);
 }
 
 void native_bit_errors(struct native *n, bool any)
@@ -268,7 +268,7 @@ uint32_t spi_read(struct native *n, uint32_t i, uint32_t word, uint32_t size)
 	if (word == SPI_SR)
 		return spi_status(n, i);
 	if (word != SPI_DR)
-		return device_words(n, n->spis[i])[word];
+		return spi_words(n, i)[word];
 	for (uint32_t k = 0; k < (size < 2u ? size : 2u); ++k) {
 		if (s->received_count != 0u) {
 			s->last = s->received[0];
@@ -287,21 +287,21 @@ void spi_write(struct native *n, uint32_t i, uint32_t word, uint32_t size, uint3
 
 	spi_sync(n, i);
 	if (word == SPI_CR1) {
-		const uint32_t changed = device_keep(n, n->spis[i], word, value);
+		const uint32_t changed = device_keep(n, n->devices[SPI][i], word, value);
 
 		if ((changed & SPE) != 0u && (value & SPE) == 0u) {
 			s->sending_count = 0; /* what is on the wire is lost */
 			s->begun = NEVER;
 		} else if ((changed & ~(uint32_t)SPE) != 0u && s->begun != NEVER) {
-			native_query(n, QUERY_BUSY, n->spis[i], 0, 0);
+			native_query(n, QUERY_BUSY, n->devices[SPI][i], 0, 0);
 			return;
 		}
 	} else if (word == SPI_CR2) {
-		device_keep(n, n->spis[i], word, value);
+		device_keep(n, n->devices[SPI][i], word, value);
 	} else if (word == SPI_DR) {
 		for (uint32_t k = 0; k < (size < 2u ? size : 2u); ++k) {
 			if (spi_level(n, i) >= FIFO_BYTES) {
-				native_query(n, QUERY_FULL, n->spis[i], 0, 0);
+				native_query(n, QUERY_FULL, n->devices[SPI][i], 0, 0);
 				return;
 			}
 			s->sending[s->sending_count++] = (uint8_t)(value >> 8u * k);

@@ -4,13 +4,17 @@
  * an alarm marks the end of the transfer; what the pins did meanwhile is shown as trains of pulses. */
 #include <string.h>
 
-#include "esc.h"
-#include "timer.h"
+#include "peripherals.h"
 
 enum { T_CR1 = 0, T_CR2 = 1, T_DIER = 3, T_SR = 4, T_EGR = 5, T_CCMR1 = 6, T_CCMR2 = 7, T_CCER = 8, T_CNT = 9,
        T_PSC = 10, T_ARR = 11, T_CCR1 = 13, T_CCR4 = 16, T_BDTR = 17, T_DCR = 18, T_DMAR = 19 };
 enum { CEN = 1u << 0, UDIS = 1u << 1, URS = 1u << 2, OPM = 1u << 3, ARPE = 1u << 7 };
 enum { CCDS = 1u << 3, MOE = 1u << 15, UIF = 1u << 0 };
+
+static uint32_t *timer_words(struct native *n, uint32_t t)
+{
+	return device_words(n, n->devices[TIMER][t]);
+}
 
 static uint64_t timer_cycles(const struct native *n, uint32_t t, uint64_t counts)
 {
@@ -26,7 +30,7 @@ static uint32_t timer_count(const struct native *n, uint32_t t)
 {
 	const struct timer *const s = &n->s.timers[t];
 
-	if ((n->s.words[n->timer_devices[t]][T_CR1] & CEN) == 0u)
+	if ((n->s.words[n->devices[TIMER][t]][T_CR1] & CEN) == 0u)
 		return s->stopped_at;
 	const uint64_t count = (native_now(n) - s->anchor) * n->s.timer_clock[n->advanced[t]] / (TIME_HZ * (s->psc + 1u));
 
@@ -41,12 +45,12 @@ static uint32_t timer_source(uint32_t t, uint32_t k)
 /* Is request `k` (0 update, 1 to 4 channels) made at each update? */
 static bool timer_asks(struct native *n, uint32_t t, uint32_t k)
 {
-	const uint32_t *const w = device_words(n, n->timer_devices[t]);
+	const uint32_t *const w = timer_words(n, t);
 
 	if ((w[T_DIER] >> (8u + k) & 1u) == 0u)
 		return false;
 	if (k != 0u && (w[T_CR2] & CCDS) == 0u) {
-		native_query(n, QUERY_COMPARE, n->timer_devices[t], k, 0);
+		native_query(n, QUERY_COMPARE, n->devices[TIMER][t], k, 0);
 		return false;
 	}
 	return true;
@@ -55,7 +59,7 @@ static bool timer_asks(struct native *n, uint32_t t, uint32_t k)
 /* The words that one request writes, a register or a burst of them through DMAR: first and how many; 0 when it may not. */
 static uint32_t timer_targets(struct native *n, uint32_t t, uint32_t k, uint32_t *first)
 {
-	const uint32_t device = n->timer_devices[t];
+	const uint32_t device = n->devices[TIMER][t];
 	const uint32_t *const w = device_words(n, device);
 	const uint32_t word = (native_target(n, timer_source(t, k)) - n->bases[device]) >> 2;
 	uint32_t count = 1;
@@ -67,7 +71,7 @@ static uint32_t timer_targets(struct native *n, uint32_t t, uint32_t k, uint32_t
 	}
 	for (uint32_t i = *first; i < *first + count; ++i) {
 		if (i != T_PSC && i != T_ARR && (i < T_CCR1 || i > T_CCR4)) {
-			native_query(n, QUERY_TARGET, n->timer_devices[t], k, 0);
+			native_query(n, QUERY_TARGET, n->devices[TIMER][t], k, 0);
 			return 0;
 		}
 	}
@@ -76,12 +80,12 @@ static uint32_t timer_targets(struct native *n, uint32_t t, uint32_t k, uint32_t
 
 static bool timer_preloads(const struct native *n, uint32_t t, uint32_t channel)
 {
-	return n->s.words[n->timer_devices[t]][T_CCMR1 + channel / 2u] >> (3u + 8u * (channel % 2u)) & 1u;
+	return n->s.words[n->devices[TIMER][t]][T_CCMR1 + channel / 2u] >> (3u + 8u * (channel % 2u)) & 1u;
 }
 
 static void timer_store(struct native *n, uint32_t t, uint32_t word, uint32_t value)
 {
-	device_keep(n, n->timer_devices[t], word, value);
+	device_keep(n, n->devices[TIMER][t], word, value);
 	if (word >= T_CCR1 && word <= T_CCR4 && !timer_preloads(n, t, word - T_CCR1))
 		n->s.timers[t].ccr[word - T_CCR1] = value;
 }
@@ -89,7 +93,7 @@ static void timer_store(struct native *n, uint32_t t, uint32_t word, uint32_t va
 /* What was preloaded takes effect. */
 static void timer_load(struct native *n, uint32_t t)
 {
-	const uint32_t *const w = device_words(n, n->timer_devices[t]);
+	const uint32_t *const w = timer_words(n, t);
 	struct timer *const s = &n->s.timers[t];
 
 	s->arr = w[T_ARR];
@@ -99,16 +103,16 @@ static void timer_load(struct native *n, uint32_t t)
 
 static void timer_update_irq(struct native *n, uint32_t t)
 {
-	const uint32_t device = n->timer_devices[t];
+	const uint32_t device = n->devices[TIMER][t];
 
-	engine_irq(n->e, n->irqs[device][0], (device_words(n, device)[T_SR] & device_words(n, device)[T_DIER] & UIF) != 0u);
+	engine_irq(n->e, n->irqs[device][0], (timer_words(n, t)[T_SR] & timer_words(n, t)[T_DIER] & UIF) != 0u);
 }
 
 /* Periods of a channel that have passed, the first `offset` periods after the anchor. */
 static void timer_pulses(struct native *n, uint32_t t, uint32_t channel, uint32_t offset, uint32_t count,
 			 const uint32_t *compares)
 {
-	const uint32_t *const w = device_words(n, n->timer_devices[t]);
+	const uint32_t *const w = timer_words(n, t);
 	struct timer *const s = &n->s.timers[t];
 	const bool off = n->advanced[t] && (w[T_BDTR] & MOE) == 0u;
 	const uint64_t length = timer_period(n, t);
@@ -122,7 +126,7 @@ static void timer_pulses(struct native *n, uint32_t t, uint32_t channel, uint32_
 		any = any || compares[i] != 0u;
 	}
 	if (any && (off || s->valid[channel] != n->s.epoch || s->ccmr[channel] != w[T_CCMR1 + channel / 2u])) {
-		native_query(n, QUERY_OUTPUT, n->timer_devices[t], channel + 1u, 0);
+		native_query(n, QUERY_OUTPUT, n->devices[TIMER][t], channel + 1u, 0);
 		if (n->failed)
 			return;
 		s->valid[channel] = n->s.epoch;
@@ -160,7 +164,7 @@ static uint32_t timer_run_fed(struct native *n, uint32_t t, uint32_t k, uint64_t
 		timer_load(n, t);
 		timer_feed(n, t, k);
 		++done;
-		if (n->s.timers[t].arr != device_words(n, n->timer_devices[t])[T_ARR])
+		if (n->s.timers[t].arr != timer_words(n, t)[T_ARR])
 			break;
 	}
 	for (uint32_t c = 0; c < CHANNELS; ++c)
@@ -196,7 +200,7 @@ static uint64_t timer_free_run(struct native *n, uint32_t t, uint64_t updates)
 /* Goes through `updates` updates or fewer; returns how many. */
 static uint64_t timer_run(struct native *n, uint32_t t, uint64_t updates)
 {
-	uint32_t *const w = device_words(n, n->timer_devices[t]);
+	uint32_t *const w = timer_words(n, t);
 	struct timer *const s = &n->s.timers[t];
 	uint32_t asking = 0, fed = 0, fed_count = 0, last = 0;
 	uint64_t count = 1;
@@ -233,7 +237,7 @@ static uint64_t timer_run(struct native *n, uint32_t t, uint64_t updates)
 
 void timer_sync(struct native *n, uint32_t t)
 {
-	uint32_t *const w = device_words(n, n->timer_devices[t]);
+	uint32_t *const w = timer_words(n, t);
 	struct timer *const s = &n->s.timers[t];
 
 	if ((w[T_CR1] & (CEN | UDIS)) != CEN)
@@ -256,7 +260,7 @@ void timer_sync(struct native *n, uint32_t t)
 
 void timer_plan(struct native *n, uint32_t t)
 {
-	const uint32_t device = n->timer_devices[t];
+	const uint32_t device = n->devices[TIMER][t];
 	const uint32_t *const w = device_words(n, device);
 	uint64_t waits = NEVER;
 
@@ -299,7 +303,7 @@ const struct driver timer_driver = {.sync = timer_driver_sync, .changed = timer_
 
 void timer_reset(struct native *n, uint32_t t)
 {
-	const uint32_t device = n->timer_devices[t];
+	const uint32_t device = n->devices[TIMER][t];
 
 	memset(&n->s.timers[t], 0, offsetof(struct timer, escs)); /* ESCs live on */
 	timer_load(n, t);
@@ -329,7 +333,7 @@ uint32_t timer_read(struct native *n, uint32_t device, uint32_t word)
 	uint32_t *const w = device_words(n, device);
 
 	if (word == T_DMAR) {
-		native_query(n, QUERY_DMAR, n->timer_devices[t], 0, 0);
+		native_query(n, QUERY_DMAR, n->devices[TIMER][t], 0, 0);
 		return 0;
 	}
 	if (word != T_CNT && word != T_SR && word != T_CR1 && (word < T_CCR1 || word > T_CCR4))
@@ -346,7 +350,7 @@ uint32_t timer_read(struct native *n, uint32_t device, uint32_t word)
 
 static void timer_generate(struct native *n, uint32_t t, uint32_t value)
 {
-	uint32_t *const w = device_words(n, n->timer_devices[t]);
+	uint32_t *const w = timer_words(n, t);
 	struct timer *const s = &n->s.timers[t];
 
 	if (value & 1u) {
@@ -385,7 +389,7 @@ void timer_write(struct native *n, uint32_t device, uint32_t word, uint32_t valu
 	timer_sync(n, t);
 	switch (word) {
 	case T_DMAR:
-		native_query(n, QUERY_DMAR, n->timer_devices[t], 1, 0);
+		native_query(n, QUERY_DMAR, n->devices[TIMER][t], 1, 0);
 		return;
 	case T_EGR:
 		timer_generate(n, t, value);

@@ -1,5 +1,5 @@
 /* The independent watchdog's feeds. Whatever else is written to it is Python's (sim/board/peripherals/iwdg.py). */
-#include "watchdog.h"
+#include "peripherals.h"
 
 enum { WATCHDOG_FEED = 0xAAAA };
 

@@ -8,18 +8,16 @@ a condition.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count, product
-from typing import Any
 
 import pytest
 
 from neuroflight.sim.board.core.context import BoardError
-from neuroflight.sim.board.core.engine import Engine, Outcome
-from tests.sim.board.programs import DEVICE, RESULTS
-
-Boot = Callable[..., Engine]
+from neuroflight.sim.board.core.engine import Outcome
+from tests.sampling import sampled
+from tests.sim.board.programs import DEVICE, RESULTS, Boot, attach, results
 
 SHAPES = ("", *("".join(rest) for n in (1, 2, 3) for rest in product("te", repeat=n)))
 PAGE, PAGES = 0x400, 0x20008000
@@ -139,7 +137,7 @@ def make_cases(jump: str, device: bool) -> list[Case]:
 class Run:
     """A program of all shapes with one kind of jump, on a fresh engine."""
 
-    def __init__(self, boot: Boot, attach: Callable[[Engine], Any], jump: str, device: bool = False) -> None:
+    def __init__(self, boot: Boot, jump: str, device: bool = False) -> None:
         self.cases = make_cases(jump, device)
         self.engine = boot(PROGRAM.replace("CASES", "\n".join(case.text for case in self.cases)))
         self.device = attach(self.engine)
@@ -175,30 +173,26 @@ EVERY = (*JUMPS, *(f"last_{jump}" for jump in LAST))
 
 
 @pytest.mark.parametrize("jump", EVERY)
-def test_what_is_behind_an_it_block_is_executed_whatever_its_shape(
-    boot: Boot, attach: Callable[[Engine], Any], jump: str
-) -> None:
-    run = Run(boot, attach, jump)
+def test_what_is_behind_an_it_block_is_executed_whatever_its_shape(boot: Boot, jump: str) -> None:
+    run = Run(boot, jump)
     run.run(MOST)
     run.check()
 
 
 @pytest.mark.parametrize("jump", ["b", "tail_call", "block", "nothing", "last_return"])
-def test_it_is_so_when_the_block_reads_and_writes_registers_of_a_peripheral(
-    boot: Boot, attach: Callable[[Engine], Any], jump: str
-) -> None:
-    run = Run(boot, attach, jump, device=True)
+def test_it_is_so_when_the_block_reads_and_writes_registers_of_a_peripheral(boot: Boot, jump: str) -> None:
+    run = Run(boot, jump, device=True)
     run.run(MOST)
     run.check()
     assert len(run.device.log) > len(run.cases)
 
 
 @pytest.mark.parametrize("jump", EVERY)
-@pytest.mark.parametrize("budget", [1, 2, 3, 5, 11])
+@pytest.mark.parametrize("budget", sampled([1, 2, 3, 5, 11], 1, 3))
 def test_it_is_so_when_the_run_is_cut_and_all_pages_are_asked_for_anew(
-    boot: Boot, attach: Callable[[Engine], Any], jump: str, budget: int
+    boot: Boot, jump: str, budget: int
 ) -> None:
-    whole, cut = Run(boot, attach, jump), Run(boot, attach, jump)
+    whole, cut = Run(boot, jump), Run(boot, jump)
     whole.run(MOST)
     cut.run(budget, forget=True)
     cut.check()
@@ -207,11 +201,9 @@ def test_it_is_so_when_the_run_is_cut_and_all_pages_are_asked_for_anew(
 
 
 @pytest.mark.parametrize("jump", EVERY)
-@pytest.mark.parametrize("period", [601, 677, 733])
-def test_it_is_so_when_interrupts_come_between(
-    boot: Boot, attach: Callable[[Engine], Any], jump: str, period: int
-) -> None:
-    run = Run(boot, attach, jump)
+@pytest.mark.parametrize("period", sampled([601, 677, 733], 733))
+def test_it_is_so_when_interrupts_come_between(boot: Boot, jump: str, period: int) -> None:
+    run = Run(boot, jump)
     run.interrupt(period)
     run.run(7, forget=period == 733)
     run.check()
@@ -234,9 +226,7 @@ VECTORS();
 
 
 @pytest.mark.parametrize("touched", [False, True])
-def test_it_is_so_when_the_block_programs_flash(
-    boot: Boot, results: Callable[[Engine, int], list[int]], touched: bool
-) -> None:
+def test_it_is_so_when_the_block_programs_flash(boot: Boot, touched: bool) -> None:
     engine = boot(FLASHING.replace("TOUCH", "ldr r2, [r0, #4]\\n str r2, [r0, #4]\\n" if touched else ""))
     engine.on_flash_store(lambda at, size, value: engine.set_memory(at, value.to_bytes(size, "little")))
     engine.run(instructions=MOST)
@@ -272,7 +262,7 @@ FAULTS = (
 
 @pytest.mark.parametrize(("first", "second", "message"), FAULTS)
 def test_a_fault_in_an_it_block_is_told_at_its_instruction(
-    boot: Boot, results: Callable[[Engine, int], list[int]], first: str, second: str, message: str
+    boot: Boot, first: str, second: str, message: str
 ) -> None:
     source = FAULTY.replace("FIRST", first).replace("SECOND", second)
     engine = boot(source)

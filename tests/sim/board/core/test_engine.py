@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import pytest
 
 from neuroflight.sim.board.core.context import BoardError
 from neuroflight.sim.board.core.engine import Engine, Outcome
 from neuroflight.sim.board.debug.profile import execution_counts
-
-Boot = Callable[..., Engine]
-Results = Callable[[Engine, int], list[int]]
+from tests.sim.board.programs import Boot, attach, ran, results
 
 NOTHING = "HANDLER reset(void) { REST(); } VECTORS();"
 # 12 instructions before WFI, of which two are skipped in their place.
@@ -58,10 +53,9 @@ def test_it_sleeps_for_good_when_nothing_can_wake_it(boot: Boot) -> None:
     assert engine.sleeping
 
 
-def test_skipped_instructions_count_when_their_condition_fails(boot: Boot, results: Results) -> None:
+def test_skipped_instructions_count_when_their_condition_fails(boot: Boot) -> None:
     engine = boot(COUNTED)
-    engine.run()
-    assert results(engine, 1) == [15]
+    assert ran(engine, 1) == [15]
     assert engine.instructions == COUNTED_INSTRUCTIONS
     counts = execution_counts(engine)
     start = engine.symbols["reset"]
@@ -90,11 +84,9 @@ def test_a_limit_is_exact_when_it_lies_inside_a_run(boot: Boot) -> None:
         assert engine.instructions == expected
 
 
-def test_each_access_happens_once_when_it_raises_an_interrupt(
-    boot: Boot, attach: Callable[..., Any], results: Results
-) -> None:
+def test_each_access_happens_once_when_it_raises_an_interrupt(boot: Boot) -> None:
     engine = boot(TOUCHING)
-    engine.poke(0x20002000, bytes(4))
+    engine.set_memory(0x20002000, bytes(4))
     device = attach(engine)
     engine.run()
     assert device.log == [
@@ -105,9 +97,7 @@ def test_each_access_happens_once_when_it_raises_an_interrupt(
     assert results(engine, 1) == [1]
 
 
-def test_accesses_carry_their_exact_time_when_they_share_a_run(
-    boot: Boot, attach: Callable[..., Any]
-) -> None:
+def test_accesses_carry_their_exact_time_when_they_share_a_run(boot: Boot) -> None:
     source = """
     HANDLER reset(void) { REG(DEVICE + 4); REG(DEVICE + 4); __asm volatile("nop\\n nop"); REG(DEVICE + 4);
         REST(); }
@@ -122,7 +112,7 @@ def test_accesses_carry_their_exact_time_when_they_share_a_run(
     assert third - second == 12
 
 
-def test_a_place_is_refused_when_it_is_taken(boot: Boot, attach: Callable[..., Any]) -> None:
+def test_a_place_is_refused_when_it_is_taken(boot: Boot) -> None:
     engine = boot(NOTHING)
     device = attach(engine)
     for base, size in ((0x40000000, 0x400), (0x40000200, 0x400), (0x20000000, 0x400), (0x4007FC00, 0x800)):
@@ -130,10 +120,10 @@ def test_a_place_is_refused_when_it_is_taken(boot: Boot, attach: Callable[..., A
             engine.attach(base, size, device, "OTHER")
 
 
-def test_the_place_is_named_when_a_peripheral_fails(boot: Boot, attach: Callable[..., Any]) -> None:
+def test_the_place_is_named_when_a_peripheral_fails(boot: Boot) -> None:
     engine = boot("HANDLER reset(void) {\n REG(DEVICE + 8) = 1;\n RESULT[0] = 1;\n REST(); }\nVECTORS();")
     device = attach(engine)
-    device.write = lambda offset, size, value: engine.fail("no good")
+    device.write = lambda offset, size, value: engine.fail("no good")  # type: ignore[method-assign]
     engine.attach(0x40000400, 0x400, device, "SECOND")
     engine._writes[0] = device.write
     with pytest.raises(BoardError, match=r"no good; pc 0x0.*, in reset\+0x.* \(program\.c:2\)"):
@@ -141,9 +131,7 @@ def test_the_place_is_named_when_a_peripheral_fails(boot: Boot, attach: Callable
     assert engine.load(0x20002000, 4) == 0xA5A5A5A5  # nothing is executed after it
 
 
-def test_an_exception_of_python_comes_out_when_a_peripheral_raises_one(
-    boot: Boot, attach: Callable[..., Any]
-) -> None:
+def test_an_exception_of_python_comes_out_when_a_peripheral_raises_one(boot: Boot) -> None:
     engine = boot("HANDLER reset(void) { REG(DEVICE); REST(); } VECTORS();")
     attach(engine)
     engine._reads[0] = lambda offset, size: 1 // 0
@@ -171,7 +159,7 @@ def test_alarms_go_off_in_order_when_they_share_a_cycle(boot: Boot) -> None:
     assert engine.cycle == 2000
 
 
-def test_ram_stays_and_flash_stays_when_the_image_resets_the_chip(boot: Boot, results: Results) -> None:
+def test_ram_stays_and_flash_stays_when_the_image_resets_the_chip(boot: Boot) -> None:
     source = """
     HANDLER reset(void)
     {
@@ -226,7 +214,7 @@ def test_two_stores_to_flash_are_an_error_when_one_instruction_makes_them(boot: 
     assert engine.memory(0x08010000, 8) == b"\xff" * 8
 
 
-def test_fetches_from_flash_wait_when_it_is_busy(boot: Boot, attach: Callable[..., Any]) -> None:
+def test_fetches_from_flash_wait_when_it_is_busy(boot: Boot) -> None:
     source = (
         'HANDLER reset(void) { REG(DEVICE + 4) = 1; __asm volatile("nop"); REG(DEVICE + 4) = 2; REST(); }'
     )
@@ -247,19 +235,17 @@ def test_fetches_from_flash_wait_when_it_is_busy(boot: Boot, attach: Callable[..
     assert device.times[1] >= 5_000_000
 
 
-def test_code_is_run_anew_when_flash_is_changed(boot: Boot, results: Results) -> None:
+def test_code_is_run_anew_when_flash_is_changed(boot: Boot) -> None:
     source = """
     __attribute__((noinline)) uint32_t value(void) { return 17; }
     HANDLER reset(void) { for (;;) { RESULT[0] = value(); __asm volatile("wfi"); } }
     VECTORS();
     """
     engine = boot(source)
-    engine.run()
-    assert results(engine, 1) == [17]
+    assert ran(engine, 1) == [17]
     engine.set_memory(engine.symbols["value"], bytes.fromhex("2a20"))  # movs r0, #42
     engine.power_cycle()
-    engine.run()
-    assert results(engine, 1) == [42]
+    assert ran(engine, 1) == [42]
 
 
 def test_arguments_are_refused_when_they_make_no_sense() -> None:

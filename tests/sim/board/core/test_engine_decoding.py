@@ -12,7 +12,7 @@ import pytest
 from cffi import FFI
 from elftools.elf.elffile import ELFFile
 
-from neuroflight.sim.board.core.library import CORE, load_library
+from neuroflight.sim.board.core.library import BASE, load_library
 from neuroflight.toolchain.cortex_m7.disassembly import Instruction, disassemble
 
 ACCESS, DIVIDE, MASKS, WAIT, CONTROL = range(5)  # enum special_kind of engine.h
@@ -60,7 +60,7 @@ VECTORS();
 @cache
 def decoder() -> Any:
     """The library with block_decode, which is not for Python: its structs come from engine.h."""
-    ffi, text = FFI(), (CORE / "engine.h").read_text()
+    ffi, text = FFI(), (BASE / "engine.h").read_text()
     for name in ("special", "block"):
         ffi.cdef(text[text.index(f"struct {name} {{") :].partition("};\n")[0] + "};")
     ffi.cdef("struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening);")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -14,15 +14,14 @@ from unicorn import arm_const
 
 from neuroflight.sim.board.core.context import BoardError
 from neuroflight.sim.board.core.engine import CORE_REGISTERS, Engine, Outcome, Watchpoint
-from tests.sim.board.programs import RESULTS
-
-Boot = Callable[..., Engine]
+from tests.sampling import examples
+from tests.sim.board.programs import RESULTS, Boot
 
 FLASH, CODE, RAM, RAM_BYTES = 0x08000000, 0x08000400, 0x20000000, 0x40000
 CPACR = 0xE000ED88
 STRIDE = 8  # bytes for each instruction and the jump to itself behind it
 HERE = 0xE7FE  # b .
-CASES = 2500
+CASES = examples(4000)
 LOADS_AND_STORES = (0x4800, 0x5000, 0x6000, 0x7000, 0x8000, 0x9000, 0xB400, 0xBC00, 0xC000)  # first halfwords
 WIDE = (0xE800, 0xE840, 0xE8C0, 0xE900, 0xEC00, 0xED00, 0xF800, 0xF880, 0xF900)
 MASKS_OF_WIDE = (0x01FF, 0x01BF, 0x003F, 0x00FF, 0x00FF, 0x00FF, 0x007F, 0x007F, 0x01FF)
@@ -137,7 +136,7 @@ def test_watchpoints_see_what_unicorn_accesses_when_any_load_or_store_is_execute
         assert stops(at, values, store, end - 1, end) == end - 1, drawn[i]
         if start >= RAM:
             assert stops(at, values, not store, start, end) is None, drawn[i]
-    assert min(found.values()) > 300 and none > 50
+    assert min(found.values()) > CASES // 10 and none > CASES // 60
 
 
 LOOPING = """

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import pytest
 
 from neuroflight.sim.board.core.context import BoardError
 from neuroflight.sim.board.core.engine import Engine, Outcome
 from neuroflight.sim.board.debug.profile import task_counts
-
-Boot = Callable[..., Engine]
-Results = Callable[[Engine, int], list[int]]
+from tests.sim.board.programs import Boot, attach, ran, results
 
 # Every register holds a value of its own when the interrupt comes, and the handler destroys what it may.
 PRESERVING = """
@@ -56,7 +51,7 @@ def preserving(setup: str = "", handle: str = "", read: str = "") -> str:
     return PRESERVING.replace("SETUP", setup).replace("HANDLE", handle).replace("READ", read)
 
 
-def test_registers_and_flags_survive_when_an_interrupt_comes_between(boot: Boot, results: Results) -> None:
+def test_registers_and_flags_survive_when_an_interrupt_comes_between(boot: Boot) -> None:
     engine = boot(preserving())
     engine.run()
     found = results(engine, 16)
@@ -71,22 +66,20 @@ def test_registers_and_flags_survive_when_an_interrupt_comes_between(boot: Boot,
     assert frame[7] & 0xF1000000 == 0x81000000
 
 
-def test_the_frame_is_aligned_when_the_stack_is_not(boot: Boot, results: Results) -> None:
+def test_the_frame_is_aligned_when_the_stack_is_not(boot: Boot) -> None:
     engine = boot(preserving(setup="sub sp, #4\\n"))
-    engine.run()
-    assert results(engine, 13) == EXPECTED
+    assert ran(engine, 13) == EXPECTED
     assert engine.load(0x2000203C, 4) == 0x20000FFC
     assert engine.load(0x20002104, 4) == 0x20000FFC - 4 - 0x20
     assert engine.load(0x20002110 + 28, 4) & 1 << 9
 
 
-def test_floats_survive_when_the_handler_computes_with_others(boot: Boot, results: Results) -> None:
+def test_floats_survive_when_the_handler_computes_with_others(boot: Boot) -> None:
     load = "".join(f"vmov.f32 s{i}, #{1 + i / 16 if i < 16 else 2.0}\\n" for i in range(16))
     spoil = "".join(f"vmov.f32 s{i}, #3.0\\n" for i in range(16)) + "mov r1, #0\\n vmsr fpscr, r1\\n"
     setup = load + "ldr r1, =0x00400000\\n vmsr fpscr, r1\\n"
     engine = boot(preserving(setup, spoil, "vstm r0!, {s0-s15}\\n vmrs r1, fpscr\\n str r1, [r0]\\n"))
-    engine.run()
-    assert results(engine, 13) == EXPECTED
+    assert ran(engine, 13) == EXPECTED
     floats = [engine.load(0x20002040 + 4 * i, 4) for i in range(17)]
     assert floats == [0x3F800000 + i * 0x80000 for i in range(16)] + [0x00400000]
     assert engine.load(0x20002100, 4) == 0xFFFFFFE9
@@ -148,12 +141,11 @@ VECTORS([16] = low, high, same);
     ],
 )
 def test_handlers_interrupt_each_other_when_their_priority_says_so(
-    boot: Boot, results: Results, high: int, split: int, order: list[int]
+    boot: Boot, high: int, split: int, order: list[int]
 ) -> None:
     engine = boot(NESTED)
     engine.set_memory(0x08007000, b"".join(word.to_bytes(4, "little") for word in (high, split)))
-    engine.run()
-    assert results(engine, len(order)) == order
+    assert ran(engine, len(order)) == order
 
 
 MASKED = """
@@ -187,18 +179,17 @@ VECTORS([16] = handler);
         ("mov r0, #1\\n msr primask, r0", "mov r0, #0\\n msr primask, r0", 1),
     ],
 )
-def test_an_interrupt_waits_when_it_is_masked(
-    boot: Boot, results: Results, mask: str, unmask: str, seen: int
-) -> None:
+def test_an_interrupt_waits_when_it_is_masked(boot: Boot, mask: str, unmask: str, seen: int) -> None:
     def assembly(text: str) -> str:
         return f'__asm volatile("{text}" ::: "r0", "memory");' if text else ""
 
-    engine = boot(MASKED.replace("UNMASK", assembly(unmask)).replace("MASK", assembly(mask)))
-    engine.run()
-    assert results(engine, 2) == [2, seen]
+    assert ran(boot(MASKED.replace("UNMASK", assembly(unmask)).replace("MASK", assembly(mask))), 2) == [
+        2,
+        seen,
+    ]
 
 
-def test_the_next_handler_follows_without_unstacking_when_one_waits(boot: Boot, results: Results) -> None:
+def test_the_next_handler_follows_without_unstacking_when_one_waits(boot: Boot) -> None:
     source = """
     NAKED first(void) { __asm volatile("ldr r0, =0x20002000\\n str sp, [r0]\\n str lr, [r0, #4]\\n bx lr"); }
     NAKED second(void) {
@@ -214,7 +205,7 @@ def test_the_next_handler_follows_without_unstacking_when_one_waits(boot: Boot, 
     assert engine.load(0xE000ED04, 4) & 0x1FF == 0  # nothing active
 
 
-def test_svc_finds_its_number_when_it_is_called(boot: Boot, results: Results) -> None:
+def test_svc_finds_its_number_when_it_is_called(boot: Boot) -> None:
     source = """
     HANDLER serve(uint32_t *frame) { RESULT[0] = ((uint8_t *)frame[6])[-2]; frame[0] = 77; }
     NAKED svc(void) { __asm volatile("mov r0, sp\\n b serve"); }
@@ -223,12 +214,10 @@ def test_svc_finds_its_number_when_it_is_called(boot: Boot, results: Results) ->
         RESULT[1] = r0; REST(); }
     VECTORS([11] = svc);
     """
-    engine = boot(source)
-    engine.run()
-    assert results(engine, 2) == [42, 77]
+    assert ran(boot(source), 2) == [42, 77]
 
 
-def test_pendsv_and_nmi_run_when_their_bits_are_set(boot: Boot, results: Results) -> None:
+def test_pendsv_and_nmi_run_when_their_bits_are_set(boot: Boot) -> None:
     source = """
     HANDLER pendsv(void) { RESULT[0]++; }
     HANDLER nmi(void) { RESULT[1]++; RESULT[3] = RESULT[0]; }
@@ -237,14 +226,10 @@ def test_pendsv_and_nmi_run_when_their_bits_are_set(boot: Boot, results: Results
         __asm volatile("cpsie i\\n isb"); REST(); }
     VECTORS([2] = nmi, [14] = pendsv);
     """
-    engine = boot(source)
-    engine.run()
-    assert results(engine, 4) == [1, 1, 1, 0]
+    assert ran(boot(source), 4) == [1, 1, 1, 0]
 
 
-def test_the_handler_runs_again_when_its_line_stays_high(
-    boot: Boot, attach: Callable[..., Any], results: Results
-) -> None:
+def test_the_handler_runs_again_when_its_line_stays_high(boot: Boot) -> None:
     source = """
     HANDLER handler(void) { if (++RESULT[0] == 3) REG(DEVICE) = 0; }
     HANDLER reset(void) { RESULT[0] = 0; ENABLE(7); REG(DEVICE) = 1; REST(); }
@@ -252,11 +237,10 @@ def test_the_handler_runs_again_when_its_line_stays_high(
     """
     engine = boot(source)
     attach(engine, irq=7)
-    engine.run()
-    assert results(engine, 1) == [3]
+    assert ran(engine, 1) == [3]
 
 
-def test_wfi_ends_without_a_handler_when_interrupts_are_masked(boot: Boot, results: Results) -> None:
+def test_wfi_ends_without_a_handler_when_interrupts_are_masked(boot: Boot) -> None:
     source = """
     HANDLER handler(void) { RESULT[1] = 1; }
     HANDLER reset(void) { RESULT[0] = RESULT[1] = 0; ENABLE(1); __asm volatile("cpsid i\\n wfi" ::: "memory");
@@ -268,12 +252,11 @@ def test_wfi_ends_without_a_handler_when_interrupts_are_masked(boot: Boot, resul
     stop = engine.alarm("stop", lambda: engine.irq(1, False))
     alarm.set(1_000_000)
     stop.set(1_000_001)
-    engine.run()
-    assert results(engine, 2) == [1, 1]
+    assert ran(engine, 2) == [1, 1]
     assert engine.cycle > 1_000_000
 
 
-def test_vectors_in_ram_serve_when_vtor_points_there(boot: Boot, results: Results) -> None:
+def test_vectors_in_ram_serve_when_vtor_points_there(boot: Boot) -> None:
     source = """
     HANDLER other(void) { RESULT[0] = 2; }
     HANDLER handler(void) { RESULT[0] = 1; }
@@ -283,9 +266,7 @@ def test_vectors_in_ram_serve_when_vtor_points_there(boot: Boot, results: Result
         __asm volatile("dsb\\n isb"); REST(); }
     VECTORS([16] = handler);
     """
-    engine = boot(source)
-    engine.run()
-    assert results(engine, 1) == [2]
+    assert ran(boot(source), 1) == [2]
 
 
 FAULTING = """
@@ -332,9 +313,7 @@ FAULTS = (
 
 
 @pytest.mark.parametrize("which", range(len(FAULTS)))
-def test_faults_reach_their_handler_when_the_core_is_not_strict(
-    boot: Boot, results: Results, which: int
-) -> None:
+def test_faults_reach_their_handler_when_the_core_is_not_strict(boot: Boot, which: int) -> None:
     _, enables, number, cfsr, hfsr, address = FAULTS[which]
     cases = [f"case {i}: {{ {fault[0]} }} break;" for i, fault in enumerate(FAULTS)]
     engine = boot(FAULTING.replace("ACTS", "\n".join(cases)), strict=False)
@@ -462,7 +441,7 @@ def test_a_bounded_interrupt_may_not_wait_when_code_in_flash_erases_it(boot: Boo
         engine.run()
 
 
-def test_control_reads_as_the_chip_shows_it_when_floats_were_used(boot: Boot, results: Results) -> None:
+def test_control_reads_as_the_chip_shows_it_when_floats_were_used(boot: Boot) -> None:
     source = """
     HANDLER handler(void) { uint32_t c; __asm volatile("mrs %0, control" : "=r"(c)); RESULT[2] = c; }
     HANDLER reset(void) { FPU_ON(); uint32_t c;
@@ -472,12 +451,10 @@ def test_control_reads_as_the_chip_shows_it_when_floats_were_used(boot: Boot, re
         REST(); }
     VECTORS([16] = handler);
     """
-    engine = boot(source)
-    engine.run()
-    assert results(engine, 3) == [0, 4, 0]
+    assert ran(boot(source), 3) == [0, 4, 0]
 
 
-def test_the_process_stack_is_kept_when_interrupts_use_the_main_one(boot: Boot, results: Results) -> None:
+def test_the_process_stack_is_kept_when_interrupts_use_the_main_one(boot: Boot) -> None:
     source = """
     NAKED handler(void) { __asm volatile("ldr r0, =0x20002000\\n str sp, [r0]\\n str lr, [r0, #4]\\n"
         "mrs r1, psp\\n str r1, [r0, #8]\\n bx lr"); }
@@ -489,12 +466,10 @@ def test_the_process_stack_is_kept_when_interrupts_use_the_main_one(boot: Boot, 
         "2: wfi\\n b 2b"); }
     VECTORS([16] = handler);
     """
-    engine = boot(source)
-    engine.run()
-    assert results(engine, 5) == [0x20001000, 0xFFFFFFFD, 0x20005000 - 0x20, 0x20005000, 2]
+    assert ran(boot(source), 5) == [0x20001000, 0xFFFFFFFD, 0x20005000 - 0x20, 0x20005000, 2]
 
 
-def test_the_core_sleeps_on_when_a_handler_ends_and_it_was_told_to(boot: Boot, results: Results) -> None:
+def test_the_core_sleeps_on_when_a_handler_ends_and_it_was_told_to(boot: Boot) -> None:
     source = """
     HANDLER handler(void) { if (++RESULT[0] == 3) REG(0xE000ED10) = 0; }
     HANDLER reset(void) { RESULT[0] = RESULT[1] = 0; REG(0xE000ED10) = 2;
@@ -507,7 +482,7 @@ def test_the_core_sleeps_on_when_a_handler_ends_and_it_was_told_to(boot: Boot, r
     assert results(engine, 2)[1] == 3
 
 
-def test_wfe_and_yield_go_on_when_nothing_waits(boot: Boot, results: Results) -> None:
+def test_wfe_and_yield_go_on_when_nothing_waits(boot: Boot) -> None:
     source = """
     HANDLER reset(void) { RESULT[0] = 0;
         __asm volatile("sev\\n wfe\\n yield\\n wfe" ::: "memory"); RESULT[0] = 1; REST(); }
@@ -527,7 +502,7 @@ LOW_AND_HIGH = """
     """
 
 
-def test_the_higher_handler_goes_first_when_both_come_at_once(boot: Boot, results: Results) -> None:
+def test_the_higher_handler_goes_first_when_both_come_at_once(boot: Boot) -> None:
     engine = boot(LOW_AND_HIGH)
 
     def both() -> None:
@@ -537,11 +512,10 @@ def test_the_higher_handler_goes_first_when_both_come_at_once(boot: Boot, result
         engine.irq(9, False)
 
     engine.alarm("both", both).set(100_000)
-    engine.run()
-    assert results(engine, 2) == [2, 1]
+    assert ran(engine, 2) == [2, 1]
 
 
-def test_a_higher_request_interrupts_when_it_arrives_during_entry(boot: Boot, results: Results) -> None:
+def test_a_higher_request_interrupts_when_it_arrives_during_entry(boot: Boot) -> None:
     engine = boot(LOW_AND_HIGH)
     engine.core_clock(216_000_000)
 
@@ -551,8 +525,7 @@ def test_a_higher_request_interrupts_when_it_arrives_during_entry(boot: Boot, re
 
     engine.alarm("low", lambda: pulse(8)).set(100_000)
     engine.alarm("high", lambda: pulse(9)).set(100_006)  # entry takes 12
-    engine.run()
-    assert results(engine, 2) == [2, 1]
+    assert ran(engine, 2) == [2, 1]
 
 
 def test_a_handler_is_named_when_it_never_clears_its_request(boot: Boot) -> None:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
 from neuroflight.sim.board.core.context import BoardError
 from neuroflight.sim.board.core.engine import Engine, Outcome
-
-Boot = Callable[..., Engine]
+from tests.sim.board.programs import Boot, attach
 
 SINNING = """
 extern const uint32_t itcm_load[];
@@ -157,7 +155,7 @@ ACTS = {name: sin[0] for name, sin in SINS.items()} | ALLOWED | OTHERS
 
 
 @pytest.fixture
-def sinner(boot: Boot, attach: Callable[..., Any]) -> Callable[..., Engine]:
+def sinner(boot: Boot) -> Callable[..., Engine]:
     """The one program of all sins, about to commit one. Its line is 100 more than its number."""
     cases = [
         f'case {number}: {{\n#line {100 + number} "sins.c"\n{act}\n}} break;'

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from fractions import Fraction
-from typing import Any
 
 import pytest
 
-from neuroflight.sim.board.core.engine import Engine
-
-Boot = Callable[..., Engine]
-Results = Callable[[Engine, int], list[int]]
+from tests.sim.board.programs import Boot, attach, ran, results
 
 TICKING = """
 HANDLER tick(void) { RESULT[0]++; RESULT[1] = REG(0xE000E010); }
@@ -28,22 +23,20 @@ VECTORS([15] = tick);
 
 
 @pytest.mark.parametrize(("source", "period"), [("7", 10_000), ("3", 80_000)])
-def test_ticks_keep_their_period_when_the_core_sleeps(
-    boot: Boot, results: Results, source: str, period: int
-) -> None:
+def test_ticks_keep_their_period_when_the_core_sleeps(boot: Boot, source: str, period: int) -> None:
     engine = boot(TICKING.replace("SOURCE", source))
     engine.core_clock(216_000_000)
     engine.run_to(100 * period + period // 2)
     assert results(engine, 2) == [100, 0x10007 if source == "7" else 0x10003]
 
 
-def test_ticks_follow_the_core_when_its_clock_is_slow(boot: Boot, results: Results) -> None:
+def test_ticks_follow_the_core_when_its_clock_is_slow(boot: Boot) -> None:
     engine = boot(TICKING.replace("SOURCE", "7"))  # 16 MHz after reset: 13.5 cycles of time each
     engine.run_to(100 * 135_000 + 60_000)
     assert results(engine, 1) == [100]
 
 
-def test_ticks_count_without_an_interrupt_when_none_is_asked_for(boot: Boot, results: Results) -> None:
+def test_ticks_count_without_an_interrupt_when_none_is_asked_for(boot: Boot) -> None:
     source = """
     HANDLER reset(void) { REG(0xE000E014) = 999; REG(0xE000E018) = 0; REG(0xE000E010) = 5;
         RESULT[0] = REG(0xE000E018); while (!(REG(0xE000E010) & 1u << 16)) ; RESULT[1] = REG(0xE000E010);
@@ -74,7 +67,7 @@ VECTORS();
 """
 
 
-def test_the_cycle_counter_counts_when_its_lock_is_open(boot: Boot, results: Results) -> None:
+def test_the_cycle_counter_counts_when_its_lock_is_open(boot: Boot) -> None:
     engine = boot(COUNTING.replace("UNLOCK", "REG(0xE0001FB0) = 0xC5ACCE55;"), cpi=3)
     engine.run()
     first, second = results(engine, 2)
@@ -82,10 +75,8 @@ def test_the_cycle_counter_counts_when_its_lock_is_open(boot: Boot, results: Res
     assert second - first == 6 * 3  # five instructions and the first read
 
 
-def test_the_cycle_counter_stands_when_its_lock_is_closed(boot: Boot, results: Results) -> None:
-    engine = boot(COUNTING.replace("UNLOCK", ""))
-    engine.run()
-    assert results(engine, 2) == [0, 0]
+def test_the_cycle_counter_stands_when_its_lock_is_closed(boot: Boot) -> None:
+    assert ran(boot(COUNTING.replace("UNLOCK", "")), 2) == [0, 0]
 
 
 def test_time_is_exact_when_instructions_cost_a_fraction(boot: Boot) -> None:
@@ -95,7 +86,7 @@ def test_time_is_exact_when_instructions_cost_a_fraction(boot: Boot) -> None:
     assert engine.cycle == 1_000_001 * 13 // 8
 
 
-def test_sleep_ends_at_the_alarm_when_it_raises_an_interrupt(boot: Boot, attach: Callable[..., Any]) -> None:
+def test_sleep_ends_at_the_alarm_when_it_raises_an_interrupt(boot: Boot) -> None:
     source = """
     HANDLER handler(void) { REG(DEVICE) = 0; }
     HANDLER reset(void) { ENABLE(0); REST(); }

@@ -16,7 +16,7 @@ from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.debug.gdb import GdbServer
 from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES
 from neuroflight.toolchain.errors import LinkError
-from tests.sim.board.programs import DEVICE, Device, Program
+from tests.sim.board.programs import DEVICE, Boot, Device, Program
 
 LOOPING = """
 __attribute__((noinline)) void step(void) { RESULT[0] += 3; }
@@ -82,7 +82,7 @@ class Session:
 
 
 @pytest.fixture
-def session(boot: Callable[..., Engine]) -> Iterator[Session]:
+def session(boot: Boot) -> Iterator[Session]:
     """A looping program, halted at its start."""
     one = Session(boot(LOOPING), 1_000_000)
     yield one
@@ -163,7 +163,7 @@ def test_it_stops_at_every_pass_when_there_is_a_breakpoint(session: Session) -> 
     assert session.engine.cycle >= 1_000_000
 
 
-def test_it_stops_when_interrupted(boot: Callable[..., Engine]) -> None:
+def test_it_stops_when_interrupted(boot: Boot) -> None:
     session = Session(boot(LOOPING), 2**62)
     session.client.send("c")
     session.client.socket.sendall(b"\x03")
@@ -174,7 +174,7 @@ def test_it_stops_when_interrupted(boot: Callable[..., Engine]) -> None:
     session.end()
 
 
-def test_the_debugger_sees_it_when_the_image_fails(boot: Callable[..., Engine]) -> None:
+def test_the_debugger_sees_it_when_the_image_fails(boot: Boot) -> None:
     source = 'HANDLER reset(void) { RESULT[0] = 1; __asm volatile("udf #0"); } VECTORS();'
     session = Session(boot(source), 1_000_000)
     session.client.send("c")
@@ -192,7 +192,7 @@ def test_a_damaged_packet_is_asked_for_again_when_its_sum_is_wrong(session: Sess
     assert session.client.ask("?") == "S05"
 
 
-def test_one_line_says_so_when_the_port_is_taken(session: Session, boot: Callable[..., Engine]) -> None:
+def test_one_line_says_so_when_the_port_is_taken(session: Session, boot: Boot) -> None:
     with pytest.raises(LinkError, match="cannot listen for gdb"):
         GdbServer(session.engine, session.server.port)
 
@@ -220,7 +220,7 @@ class Clearing(Device):
 
 
 def test_a_register_of_a_peripheral_is_as_it_was_when_the_debugger_has_read_it(
-    boot: Callable[..., Engine],
+    boot: Boot,
 ) -> None:
     engine = boot(LOOPING)
     device = Clearing(engine)
@@ -261,7 +261,7 @@ def test_the_description_names_every_register_that_is_read(session: Session) -> 
         assert piece == ("l" if offset == len(text) else "m") + text[offset : offset + 64]
 
 
-def test_control_reads_as_the_chip_has_it_when_floats_are_in_use(boot: Callable[..., Engine]) -> None:
+def test_control_reads_as_the_chip_has_it_when_floats_are_in_use(boot: Boot) -> None:
     """FPCA is set by the first floating-point instruction; SFPA is none of ARMv7-M's."""
     session = Session(
         boot('HANDLER reset(void) { FPU_ON(); __asm volatile("vmov s0, #1.0"); REST(); } VECTORS();'), 2**62
@@ -303,7 +303,7 @@ def test_it_stops_before_the_access_when_memory_is_watched(session: Session, kin
     assert client.ask("Z2,20004000,4") == "E.33 watchpoints, at most 32"
 
 
-def test_no_breakpoint_is_missed_when_the_board_runs_in_small_pieces(boot: Callable[..., Engine]) -> None:
+def test_no_breakpoint_is_missed_when_the_board_runs_in_small_pieces(boot: Boot) -> None:
     """A piece may end right before an instruction with a breakpoint."""
     engine = boot(LOOPING)
     session = Session(engine, 0)
@@ -342,7 +342,7 @@ VECTORS([15] = tick);
 """
 
 
-def test_a_step_goes_over_the_handler_that_interrupts_it(boot: Callable[..., Engine]) -> None:
+def test_a_step_goes_over_the_handler_that_interrupts_it(boot: Boot) -> None:
     """And the run is the one that nobody has stepped through."""
     free, engine = boot(TICKING), boot(TICKING)
     session = Session(engine, 20_000)
@@ -422,7 +422,7 @@ def monitor(client: Client, text: str) -> str:
 
 
 @pytest.mark.parametrize("command", ["reset", "reset halt", "reset init"])
-def test_a_board_that_failed_lives_again_when_it_is_reset(boot: Callable[..., Engine], command: str) -> None:
+def test_a_board_that_failed_lives_again_when_it_is_reset(boot: Boot, command: str) -> None:
     session = Session(boot(LOOPING), 1_000_000)
     client = session.client
     client.send("c70000000")
@@ -463,7 +463,7 @@ def test_the_last_packet_comes_again_when_it_was_damaged(session: Session) -> No
     assert client.receive() == first
 
 
-def test_the_board_lives_when_a_client_sends_anything(boot: Callable[..., Engine]) -> None:
+def test_the_board_lives_when_a_client_sends_anything(boot: Boot) -> None:
     """Random bytes, and packets of random text whose checksum is right; no answer tells of this computer."""
     rng = random.Random(1)
     starts = (

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from neuroflight.sim.board.core.engine import Engine
@@ -17,8 +15,7 @@ from neuroflight.sim.board.debug.profile import (
 )
 from neuroflight.toolchain.cortex_m7.disassembly import disassemble
 from neuroflight.toolchain.errors import BuildError
-
-Boot = Callable[..., Engine]
+from tests.sim.board.programs import Boot
 
 CALLING = """
 NAKED leaf(void) { __asm volatile("nop\\n nop\\n nop\\n bx lr"); }

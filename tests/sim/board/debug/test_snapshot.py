@@ -12,6 +12,7 @@ from neuroflight.sim.board.core.context import BoardError
 from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.debug.profile import execution_counts, task_counts
 from neuroflight.sim.board.debug.snapshot import restore_snapshot, take_snapshot
+from tests.sim.board.programs import Boot, attach
 
 Make = Callable[[], tuple[Engine, Any]]
 
@@ -53,7 +54,7 @@ VECTORS([15] = tick, [16] = edge);
 
 
 @pytest.fixture
-def make(boot: Callable[..., Engine], attach: Callable[..., Any]) -> Make:
+def make(boot: Boot) -> Make:
     """A busy board whose device raises an interrupt every 3001 cycles."""
 
     def one() -> tuple[Engine, Any]:
@@ -153,7 +154,7 @@ def test_a_failed_board_lives_again_when_restored(make: Make) -> None:
     assert engine.cycle >= 200_000
 
 
-def test_it_is_refused_when_the_board_has_other_peripherals(make: Make, boot: Callable[..., Engine]) -> None:
+def test_it_is_refused_when_the_board_has_other_peripherals(make: Make, boot: Boot) -> None:
     engine, _ = make()
     with pytest.raises(BoardError, match="other peripherals"):
         restore_snapshot(boot(BUSY), take_snapshot(engine))

@@ -60,11 +60,13 @@ class Driver:
         bench.set("SPI3_CR2", RXDMAEN=1)
         for stream, memory, direction in ((rx, into, 0), (tx, TX, 1)):
             bench.write("DMA1_LIFCR" if stream < 4 else "DMA1_HIFCR", 0x3D << (0, 6, 16, 22)[stream % 4])
-            bench.write(f"DMA1_S{stream}PAR", SPI3_DR)
-            bench.write(f"DMA1_S{stream}M0AR", memory)
-            bench.write(f"DMA1_S{stream}NDTR", len(sent))
-            bench.write(f"DMA1_S{stream}CR", 1 << 10 | direction << 6 | (1 << 4 if stream == rx else 0))
-            bench.set(f"DMA1_S{stream}CR", EN=1)
+            bench.stream(
+                f"DMA1_S{stream}",
+                SPI3_DR,
+                memory,
+                len(sent),
+                1 << 10 | direction << 6 | (1 << 4 if stream == rx else 0),
+            )
         bench.set("SPI3_CR2", TXDMAEN=1)
         if not wait:
             return b""
@@ -131,20 +133,24 @@ def fitted(make_bench: type[Bench], image: Path, **options: Any) -> tuple[Bench,
     return bench, Driver(bench)
 
 
+@pytest.fixture
+def driver(make_bench: type[Bench], image: Path) -> Driver:
+    """The program of a board whose card is initialised."""
+    driver = fitted(make_bench, image)[1]
+    driver.start()
+    return driver
+
+
 @pytest.mark.parametrize("streams", [(0, 5), (2, 7)])
 def test_a_block_goes_to_the_card_and_back_by_dma(
-    make_bench: type[Bench], image: Path, streams: tuple[int, int]
+    driver: Driver, image: Path, streams: tuple[int, int]
 ) -> None:
-    _, driver = fitted(make_bench, image)
-    driver.start()
     assert driver.write(7, pattern(3), *streams) == 5
     assert blocks_of(image, 7) == pattern(3)
     assert driver.read(7, *streams) == pattern(3)
 
 
-def test_what_comes_may_take_the_place_of_what_is_sent(make_bench: type[Bench], image: Path) -> None:
-    _, driver = fitted(make_bench, image)
-    driver.start()
+def test_what_comes_may_take_the_place_of_what_is_sent(driver: Driver, image: Path) -> None:
     assert driver.command(24, 4) == b"\x00"
     sent = b"\xff\xfe" + pattern(4) + crc16(pattern(4)) + b"\xff" * 4
     got = driver.move(sent, into=TX)
@@ -153,9 +159,8 @@ def test_what_comes_may_take_the_place_of_what_is_sent(make_bench: type[Bench], 
     assert blocks_of(image, 4) == pattern(4)
 
 
-def test_bytes_take_their_time_when_dma_moves_them(make_bench: type[Bench], image: Path) -> None:
-    bench, driver = fitted(make_bench, image)
-    driver.start()
+def test_bytes_take_their_time_when_dma_moves_them(driver: Driver) -> None:
+    bench = driver.bench
     driver.select(False)
     driver.move(b"\xff" * 512, wait=False)
     bench.context.run(512 * 8 / 13.5 - 0.1)
@@ -168,11 +173,7 @@ def test_bytes_take_their_time_when_dma_moves_them(make_bench: type[Bench], imag
 
 def test_a_transmitting_stream_interrupts_at_its_end_when_nothing_is_received(fast: Bench) -> None:
     Driver(fast, FAST)
-    fast.write("DMA1_S5PAR", SPI3_DR)
-    fast.write("DMA1_S5M0AR", TX)
-    fast.write("DMA1_S5NDTR", 100)
-    fast.write("DMA1_S5CR", 1 << 10 | 1 << 6 | 1 << 4)
-    fast.set("DMA1_S5CR", EN=1)
+    fast.stream("DMA1_S5", SPI3_DR, TX, 100, 1 << 10 | 1 << 6 | 1 << 4)
     fast.set("SPI3_CR2", TXDMAEN=1)
     byte = 8 / 13.5
     fast.context.run(95 * byte - 0.1)  # the last one goes into the FIFO when the 95th byte has left
@@ -232,21 +233,15 @@ def test_spi3_is_refused_when_it_is_set_up_wrong(
 
 
 def test_a_wrong_channel_is_refused(fast: Bench) -> None:
-    fast.write("DMA1_S0PAR", SPI3_DR)
-    fast.write("DMA1_S0M0AR", RX)
-    fast.write("DMA1_S0NDTR", 1)
-    fast.write("DMA1_S0CR", 2 << 25)
+    fast.stream("DMA1_S0", SPI3_DR, RX, 1, 2 << 25, enable=False)
     with pytest.raises(
         BoardError, match=r"its peripheral address is SPI3_DR; expected channel 0 \(SPI3_RX\)"
     ):
         fast.set("DMA1_S0CR", EN=1)
 
 
-def test_a_card_that_is_busy_costs_python_one_call_when_it_is_polled(
-    make_bench: type[Bench], image: Path
-) -> None:
-    bench, driver = fitted(make_bench, image)
-    driver.start()
+def test_a_card_that_is_busy_costs_python_one_call_when_it_is_polled(driver: Driver) -> None:
+    bench = driver.bench
     assert driver.command(24, 1) == b"\x00"
     driver.move(b"\xff\xfe" + bytes(512) + crc16(bytes(512)))
     card, calls = bench.hardware.card_slot.card, 0
@@ -267,11 +262,8 @@ def test_a_card_that_is_busy_costs_python_one_call_when_it_is_polled(
     assert calls <= 3
 
 
-def test_a_card_that_is_struck_stops_answering_and_comes_back_anew(
-    make_bench: type[Bench], image: Path
-) -> None:
-    bench, driver = fitted(make_bench, image)
-    driver.start()
+def test_a_card_that_is_struck_stops_answering_and_comes_back_anew(driver: Driver) -> None:
+    bench = driver.bench
     driver.write(1, pattern(1))
     bench.hardware.card_slot.strike(CardFault.REMOVED)
     assert driver.command(13) == b""
@@ -282,11 +274,8 @@ def test_a_card_that_is_struck_stops_answering_and_comes_back_anew(
     assert driver.read(1) == pattern(1)
 
 
-def test_a_byte_that_has_passed_counts_when_the_card_is_let_go_behind_it(
-    make_bench: type[Bench], image: Path
-) -> None:
-    bench, driver = fitted(make_bench, image)
-    driver.start()
+def test_a_byte_that_has_passed_counts_when_the_card_is_let_go_behind_it(driver: Driver, image: Path) -> None:
+    bench = driver.bench
     assert driver.command(24, 6) == b"\x00"
     *most, last = b"\xff\xfe" + pattern(6) + crc16(pattern(6))
     driver.move(bytes(most))
@@ -297,11 +286,8 @@ def test_a_byte_that_has_passed_counts_when_the_card_is_let_go_behind_it(
     assert blocks_of(image, 6) == pattern(6)
 
 
-def test_a_card_that_is_pulled_while_it_is_busy_lets_go_of_the_line(
-    make_bench: type[Bench], image: Path
-) -> None:
-    bench, driver = fitted(make_bench, image)
-    driver.start()
+def test_a_card_that_is_pulled_while_it_is_busy_lets_go_of_the_line(driver: Driver) -> None:
+    bench = driver.bench
     assert driver.command(24, 6) == b"\x00"
     driver.move(b"\xff\xfe" + bytes(512) + crc16(bytes(512)) + b"\xff\xff")
     assert driver.poll(b"\xff") == b"\x00"
@@ -309,11 +295,10 @@ def test_a_card_that_is_pulled_while_it_is_busy_lets_go_of_the_line(
     assert driver.poll(b"\xff") == b"\xff"
 
 
-def test_board_and_card_go_on_alike_when_restored(make_bench: type[Bench], image: Path) -> None:
-    bench, driver = fitted(make_bench, image)
-    driver.start()
+def test_board_and_card_go_on_alike_when_restored(driver: Driver, image: Path) -> None:
+    bench = driver.bench
     driver.write(1, pattern(1))
-    engine = bench.hardware.context
+    engine = bench.hardware.engine
     snapshot = take_snapshot(engine)
     runs = []
     for _ in range(2):
@@ -330,7 +315,7 @@ def test_a_board_without_a_card_refuses_the_snapshot_of_one_with(
     bench, _ = fitted(make_bench, image)
     other = make_bench()
     with pytest.raises(BoardError, match="a board with a card into one without"):
-        restore_snapshot(other.hardware.context, take_snapshot(bench.hardware.context))
+        restore_snapshot(other.hardware.engine, take_snapshot(bench.hardware.engine))
 
 
 def variable(board: Board, name: str) -> int:

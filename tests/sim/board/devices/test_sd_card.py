@@ -36,6 +36,15 @@ def host(make: Make) -> Host:
     return host
 
 
+@pytest.fixture
+def fresh(make: Make) -> Host:
+    """A host of a card that was told to be idle, and no more."""
+    host = make()
+    host.send(b"\xff" * 10)
+    host.command(0)
+    return host
+
+
 # ---- power-up ----
 
 
@@ -57,36 +66,27 @@ def test_a_card_does_not_hear_when_the_first_command_is_broken(make: Make) -> No
     assert host.command(0, crc=0x95) == b"\x01"  # as every host has it stored
 
 
-def test_a_card_says_what_is_wrong_with_the_command_that_asks_for_its_version(make: Make) -> None:
-    host = make()
-    host.send(b"\xff" * 10)
-    host.command(0)
-    assert host.command(8, 0x1AA, crc=0x89) == b"\x09"
-    assert host.command(8, 0x1AA, 4, crc=0x87) == bytes((1, 0, 0, 1, 0xAA))
-    assert host.command(8, 0x25A, 4) == bytes((1, 0, 0, 0, 0x5A))  # a voltage that it has not
+def test_a_card_says_what_is_wrong_with_the_command_that_asks_for_its_version(fresh: Host) -> None:
+    assert fresh.command(8, 0x1AA, crc=0x89) == b"\x09"
+    assert fresh.command(8, 0x1AA, 4, crc=0x87) == bytes((1, 0, 0, 1, 0xAA))
+    assert fresh.command(8, 0x25A, 4) == bytes((1, 0, 0, 0, 0x5A))  # a voltage that it has not
 
 
 @pytest.mark.parametrize(("told", "argument"), [(False, 1 << 30), (True, 0)])
 def test_a_card_never_gets_ready_when_the_host_knows_no_large_cards(
-    make: Make, told: bool, argument: int
+    fresh: Host, told: bool, argument: int
 ) -> None:
-    host = make()
-    host.send(b"\xff" * 10)
-    host.command(0)
     if told:
-        host.command(8, 0x1AA, 4)
+        fresh.command(8, 0x1AA, 4)
     for _ in range(20):
-        assert host.application(41, argument) == b"\x01"
-        host.rest(0.1)
+        assert fresh.application(41, argument) == b"\x01"
+        fresh.rest(0.1)
 
 
-def test_most_commands_are_illegal_before_the_initialisation(make: Make) -> None:
-    host = make()
-    host.send(b"\xff" * 10)
-    host.command(0)
+def test_most_commands_are_illegal_before_the_initialisation(fresh: Host) -> None:
     for index in (9, 10, 12, 13, 16, 17, 18, 24, 25, 32, 33, 38, 41, 60):
-        assert host.command(index) == b"\x05", index
-    assert host.command(58, 0, 4)[1] & 0x80 == 0
+        assert fresh.command(index) == b"\x05", index
+    assert fresh.command(58, 0, 4)[1] & 0x80 == 0
 
 
 @pytest.mark.parametrize(

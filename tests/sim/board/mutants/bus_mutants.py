@@ -17,6 +17,7 @@ BUS_MUTANTS = (
         new="SPI_6M75 = 2,",
         message=r"SPI1 reads or writes data of the ICM20602 at 13.5 MHz, expected 10 MHz at most",
         seconds=0.4,
+        ordinary=True,
     ),
     Mutant(
         name="gyro registers clocked at 13.5 MHz",
@@ -25,7 +26,6 @@ BUS_MUTANTS = (
         new="SPI_844K = 2,",
         message=r"register 0x6B of the ICM20602 at 13.5 MHz, expected 10 MHz at most",
         seconds=0.2,
-        slow=True,
     ),
     Mutant(
         name="gyro addressed before its start-up time",
@@ -34,7 +34,6 @@ BUS_MUTANTS = (
         new="#define START_MS 5u",
         message=r"the ICM20602 is addressed \d+\.\d ms before it answers after power-up, expected a wait",
         seconds=0.1,
-        slow=True,
     ),
     Mutant(
         name="gyro addressed before its reset is over",
@@ -43,7 +42,6 @@ BUS_MUTANTS = (
         new="#define RESET_MS 50u",
         message=r"the ICM20602 is addressed \d\d\.\d ms before it answers after its reset, expected a wait",
         seconds=0.2,
-        slow=True,
     ),
     Mutant(
         name="ICM20602 kept off I2C by a bit of its kin",
@@ -52,7 +50,6 @@ BUS_MUTANTS = (
         new="#define SPI_ONLY_BY_I2C_IF { USER_CTRL, 0x10 }",
         message=r"register 0x6A of the ICM20602 = 0x10: the model knows bits 0x01",
         seconds=0.3,
-        slow=True,
     ),
     Mutant(
         name="gyro left to take its bus for I2C",
@@ -61,7 +58,6 @@ BUS_MUTANTS = (
         new="return gyro_set(",
         message=r"the ICM20602 samples while it may take its bus for I2C, expected register 0x70",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="gyro clocked by its internal oscillator",
@@ -70,7 +66,6 @@ BUS_MUTANTS = (
         new="#define AWAKE 0x00u",
         message=r"the ICM20602 samples with CLKSEL 0, expected 1",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="bus in another mode",
@@ -79,7 +74,6 @@ BUS_MUTANTS = (
         new="SPI_CR1_CPOL |",
         message=r"the ICM20602 is addressed in SPI mode 2, expected 0 or 3",
         seconds=0.2,
-        slow=True,
     ),
     Mutant(
         name="gyro read a byte too far",
@@ -88,7 +82,6 @@ BUS_MUTANTS = (
         new="spi_start(gyro_request, gyro_response, TRANSFER_BYTES + 1u)",
         message=r"register 0x49 of the ICM20602 is read, which is not modelled",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="gyro read a byte too short",
@@ -97,7 +90,6 @@ BUS_MUTANTS = (
         new="spi_start(gyro_request, gyro_response, TRANSFER_BYTES - 1u)",
         message=r"data of the ICM20602 was read up to 0x47, the upper half of a value",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="gyro never deselected",
@@ -106,7 +98,6 @@ BUS_MUTANTS = (
         new="samples stop */",
         message=r"ICM20602",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="edge of the data-ready line mistaken",
@@ -115,7 +106,6 @@ BUS_MUTANTS = (
         new="REGISTER(0x40013C0Cu) |= EXTI_RTSR_TR3; /* FTSR */",
         message=r"EXTI line 3 takes the falling edge of the gyro's data-ready pulse, 50 us after the sample",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="wrong DMA channel of the gyro",
@@ -125,7 +115,6 @@ BUS_MUTANTS = (
         message=r"DMA2 stream 3: channel 2 is driven by .*, but its peripheral address is SPI1_DR; expected",
         place="spi_start|dma_start|gyro_start_transfer",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DMA stream of another request of the motors' timer",
@@ -134,7 +123,6 @@ BUS_MUTANTS = (
         new="{DMA2, 4, 7}",
         message=r"DMA2 stream 4 has waited more than 10 ms to move 72 items to 0x4001044C, but nothing",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DMA started with flags of the last transfer",
@@ -143,7 +131,6 @@ BUS_MUTANTS = (
         new="\tDMA_SM0AR",
         message=r"is enabled while .*TCIF is set, expected its flags cleared before",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DMA into memory that it does not reach",
@@ -152,7 +139,6 @@ BUS_MUTANTS = (
         new="dma_start(DMA_GYRO_RX, (uint8_t *)0x3F00u + 0u * (uint32_t)receive, count);",
         message=r"memory 0x00003F00 to 0x00003F0E is out of the reach of DMA",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DMA buffers in cached RAM",
@@ -161,7 +147,6 @@ BUS_MUTANTS = (
         new="\t\tuncached_bss_end = .;\n\t} > SRAM1",
         message=r"DMA2 stream \d: 0x200[1-3]\w{4} lies in cached RAM while the data cache is on",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="memory of DMA buffers left cached",
@@ -170,7 +155,6 @@ BUS_MUTANTS = (
         new="",
         message=r"DMA2 stream \d: 0x2003\w{4} lies in cached RAM while the data cache is on",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="motors' buffer where a sleeping core closes it",
@@ -179,7 +163,6 @@ BUS_MUTANTS = (
         new="static DMA_BUFFER uint32_t motor_slots",
         message=r"DMA2 stream 1 reads DTCM \(0x2000\w{4}\) while the core sleeps",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DShot bit time 10 % off",
@@ -188,7 +171,6 @@ BUS_MUTANTS = (
         new="TIM_ARR(bank->timer) = bit_ticks * 11u / 10u - 1u;",
         message=r"motor 1: a bit lasts 1\.833 us, expected 3\.333 us \(DShot300\) or 1\.667 us \(DShot600\)",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DShot at another speed than the ESCs'",
@@ -205,7 +187,6 @@ BUS_MUTANTS = (
         new="ticks * 4u / 8u",
         message=r"motor 1: bit 1 is high for 0\.833 us, expected 0\.625 us for a 0",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DShot frame that never ends",
@@ -214,7 +195,6 @@ BUS_MUTANTS = (
         new="#define SLOTS (FRAME_BITS + 0u)",
         message=r"motor 1: 0\.00 us of rest before a frame",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DShot checksum wrong",
@@ -223,7 +203,6 @@ BUS_MUTANTS = (
         new="const unsigned checksum = ~(",
         message=r"motor 1: frame 0x000F has the checksum F, expected 0",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DShot inverted",
@@ -232,7 +211,6 @@ BUS_MUTANTS = (
         new="PWM_MODE_1 = 7",
         message=r"TIM8_CH1 is driven with OC1M 7, expected 6: PWM mode 1",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="motors' timer with its main output off",
@@ -241,7 +219,6 @@ BUS_MUTANTS = (
         new="TIM_BDTR(bank->timer) &= ~TIM_BDTR_MOE;",
         message=r"TIM8_CH1 makes pulses while TIM8_BDTR MOE is 0, expected 1",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="DShot burst into the next register",
@@ -250,7 +227,6 @@ BUS_MUTANTS = (
         new="BURST_OF_4 = 4",
         message=r"TIM8_DCR bursts into .*, expected",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="timer that never runs",
@@ -259,6 +235,5 @@ BUS_MUTANTS = (
         new="TIM_CR1(bank->timer) = TIM_CR1_ARPE;",
         message=r"DMA2 stream 1 has waited more than 10 ms to move 72 items to 0x4001044C, but nothing",
         seconds=0.4,
-        slow=True,
     ),
 )

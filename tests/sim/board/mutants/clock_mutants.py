@@ -14,7 +14,6 @@ CLOCK_MUTANTS = (
         new="WAIT_STATES = 6",
         message=r"flash wait states too few: FLASH_ACR LATENCY is 6 at 216 MHz, expected 7",
         place="clock_start",
-        slow=True,
     ),
     Mutant(
         name="core above what the regulator carries without over-drive",
@@ -32,7 +31,6 @@ CLOCK_MUTANTS = (
         new="",
         message=r"PWR_CR1 ODSWEN is set before PWR_CSR1 ODRDY",
         place="clock_start",
-        slow=True,
     ),
     Mutant(
         name="regulator at a scale too low",
@@ -41,7 +39,6 @@ CLOCK_MUTANTS = (
         new="REGULATOR_SCALE_1 = 1",
         message=r"the core runs at 216 MHz, expected 144 MHz at most with voltage scale 3",
         place="clock_start",
-        slow=True,
     ),
     Mutant(
         name="PLL beyond its range",
@@ -50,7 +47,6 @@ CLOCK_MUTANTS = (
         new="crystal ? PLL_M - 1u :",
         message=r"the PLL's VCO input is 2.66667 MHz, expected 0.95 MHz to 2.1 MHz",
         place="clock_start",
-        slow=True,
     ),
     Mutant(
         name="PLL started before its crystal",
@@ -60,7 +56,6 @@ CLOCK_MUTANTS = (
         new="",
         message=r"the PLL is switched on before its source HSE is ready",
         place="clock_start",
-        slow=True,
     ),
     Mutant(
         name="clock source switched before it is ready",
@@ -70,7 +65,6 @@ CLOCK_MUTANTS = (
         new="\tclock_replace(&RCC_CFGR, RCC_CFGR_SW, FIELD(RCC_CFGR_SW, SOURCE_PLL));",
         message=r"the core is switched to PLL, which is not ready",
         place="clock_start",
-        slow=True,
     ),
     Mutant(
         name="bus clocked too fast",
@@ -79,7 +73,6 @@ CLOCK_MUTANTS = (
         new="FIELD(RCC_CFGR_PPRE1, DIVIDE_BY_2)",
         message=r"APB1 runs at 108 MHz, expected 54 MHz at most",
         place="clock_start",
-        slow=True,
     ),
     Mutant(
         name="forgotten clock of a timer",
@@ -89,7 +82,6 @@ CLOCK_MUTANTS = (
         message=r"TIM8_\w+ is written without its clock: RCC_APB2ENR TIM8EN is 0",
         place="motors_start_bank",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="forgotten clock of a DMA controller",
@@ -98,7 +90,6 @@ CLOCK_MUTANTS = (
         new=";",
         message=r"DMA2_S\d\w+ is (read|written) without its clock: RCC_AHB1ENR DMA2EN is 0",
         place="power_start",
-        slow=True,
     ),
     Mutant(
         name="motors' pins given to another timer",
@@ -107,7 +98,6 @@ CLOCK_MUTANTS = (
         new="{{GPIOC, 6}, 2}",
         message=r"TIM8 makes pulses on channel 1: PC6 is alternate function 2, expected alternate function 3",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="bus pin left analog",
@@ -117,7 +107,6 @@ CLOCK_MUTANTS = (
         message=r"SPI1 sends: PA6 is analog, expected alternate function 5 \(SPI1_MISO\)",
         place="spi_exchange|gyro_transfer",
         seconds=0.2,
-        slow=True,
     ),
     Mutant(
         name="converter's pin left digital",
@@ -127,7 +116,6 @@ CLOCK_MUTANTS = (
         message=r"ADC1 converts channel 14: PC4 is an input, expected analog",
         place="power_convert|power_read",
         seconds=0.45,
-        slow=True,
     ),
     Mutant(
         name="converter on a channel without a pin",
@@ -137,7 +125,6 @@ CLOCK_MUTANTS = (
         message=r"ADC1 converts channel 11, which has no pin on this board",
         place="power_convert|power_read",
         seconds=0.45,
-        slow=True,
     ),
     Mutant(
         name="converter clocked too fast",
@@ -147,7 +134,6 @@ CLOCK_MUTANTS = (
         message=r"ADC1 is clocked at 54 MHz, expected 36 MHz at most",
         place="power_convert|power_read",
         seconds=0.45,
-        slow=True,
     ),
     Mutant(
         name="receiver's line changed while it is on",
@@ -157,7 +143,6 @@ CLOCK_MUTANTS = (
         message=r"USART\d_CR3 OVRDIS changes while UE is 1, expected 0",
         place="uart_configure",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="register that the chip does not have",
@@ -166,7 +151,6 @@ CLOCK_MUTANTS = (
         new="\t(void)REGISTER(0x4002384Cu);\n\tbarrier();",
         message=r"the chip has no register there|has no register there",
         place="clock_peripherals",
-        slow=True,
     ),
     Mutant(
         name="peripheral that the emulator does not know",
@@ -176,7 +160,6 @@ CLOCK_MUTANTS = (
         message=r"write at 0x40005400: I2C1 is not modelled",
         place="motors_start_bank",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="reserved bit set",
@@ -185,7 +168,6 @@ CLOCK_MUTANTS = (
         new="FIELD(SPI_CR2_DS, BITS_8) | SPI_CR2_FRXTH | BIT(15);",
         message=r"SPI1_CR2 = 0x00009700 changes reserved bits 0x00008000",
         place="spi_configure",
-        slow=True,
     ),
     Mutant(
         name="watchdog never fed",
@@ -194,6 +176,7 @@ CLOCK_MUTANTS = (
         new="",
         message=r"the watchdog was not fed for 5\d\d ms: it would reset the chip",
         seconds=1.0,
+        ordinary=True,
     ),
     Mutant(
         name="watchdog locked when it is set up",
@@ -202,6 +185,5 @@ CLOCK_MUTANTS = (
         new="",
         message=r"IWDG_PR is written while it is locked, expected IWDG_KR 0x5555 before",
         place="watchdog_start",
-        slow=True,
     ),
 )

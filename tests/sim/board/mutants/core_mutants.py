@@ -19,7 +19,6 @@ CORE_MUTANTS = (
         new="\tDMA_SNDTR(s.controller, s.stream) = count;\n",
         message=r"DMA\d stream \d is enabled without a barrier after the program's last store: .* a DSB",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="motors' frame stored behind the barrier",
@@ -33,7 +32,6 @@ CORE_MUTANTS = (
         message=r"DMA2 stream 1 is enabled without a barrier after the program's last store",
         place="motors_write|motors_send",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="no barrier when the vectors move to the bank",
@@ -42,7 +40,6 @@ CORE_MUTANTS = (
         new='\t__asm volatile("isb\\n\\t"\n\t\t       "msr',
         message=r"SCB_VTOR is changed without a DSB right after it",
         place="boot_reset",
-        slow=True,
     ),
     Mutant(
         name="no barrier when the vectors move to ITCM",
@@ -51,7 +48,6 @@ CORE_MUTANTS = (
         new="\tSCB_VTOR = (uint32_t)fast_vectors;\n",
         message=r"SCB_VTOR is changed without a DSB right after it",
         place="reset_handler",
-        slow=True,
     ),
     Mutant(
         name="control path as urgent as the gyro's edge",
@@ -69,7 +65,6 @@ CORE_MUTANTS = (
         new="",
         message=r"a floating-point instruction while CPACR = 0x00000000 does not allow it",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="stack overflow by a large local in the control task",
@@ -80,7 +75,6 @@ CORE_MUTANTS = (
         message=r"(write|read) of \d bytes at 0x1FFF\w{4}, below DTCM: the stack overflows",
         place="runtime_sample",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="stack overflow by recursion in flight",
@@ -92,7 +86,6 @@ CORE_MUTANTS = (
         place="mixer_rest",
         seconds=3.6,
         flown=True,
-        slow=True,
     ),
     Mutant(
         name="null pointer read",
@@ -102,7 +95,6 @@ CORE_MUTANTS = (
         message=r"access at 0x0000000\w, in the null page",
         place="gyro_sample_handler",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="null pointer called",
@@ -121,7 +113,6 @@ CORE_MUTANTS = (
         new="[IRQ_DMA2_STREAM2] = 0,",
         message=r"exception 74 has no vector at 0x\w+",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="handler that never clears its request",
@@ -132,7 +123,6 @@ CORE_MUTANTS = (
         message=r"the handler of exception 25 has run 1000 times in a row and leaves its request up",
         place="gyro_edge_handler",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="background masks the gyro's interrupt",
@@ -144,7 +134,6 @@ CORE_MUTANTS = (
         message=r"the gyro's data-ready edge \(EXTI3\) waited \d+\.\d\d us for its handler, at most 5\.00 us "
         r"are allowed: interrupts were masked",
         seconds=1.0,
-        slow=True,
     ),
     Mutant(
         name="handler that delays the gyro's interrupt",
@@ -155,7 +144,6 @@ CORE_MUTANTS = (
         + "\n\tinterrupts_enable();\n",
         message=r"data-ready edge \(EXTI3\) waited .*: interrupts were masked",
         seconds=1.0,
-        slow=True,
     ),
     Mutant(
         name="handler that is as urgent as the gyro's edge",
@@ -165,6 +153,7 @@ CORE_MUTANTS = (
         message=r"data-ready edge \(EXTI3\) waited .*: the handler of exception 25 ran",
         place="gyro_edge_handler",
         seconds=0.4,
+        ordinary=True,
     ),
     Mutant(
         name="memory of DMA buffers closed to the core",
@@ -173,7 +162,6 @@ CORE_MUTANTS = (
         new="{ 0x2003C000u, 14, NO_ACCESS }",
         message=r"MPU region 3 \(MPU_RASR 0x1000001B\) closes 0x2003C000 to 0x2003FFFF",
         place="core_start",
-        slow=True,
     ),
     Mutant(
         name="code in RAM",
@@ -182,7 +170,6 @@ CORE_MUTANTS = (
         new="\t\titcm_end = .;\n\t} > SRAM1 AT > BANK",
         message=r"execution at 0x200[1-3]\w{4}, in RAM; code runs from flash and ITCM",
         seconds=0.05,
-        slow=True,
     ),
     Mutant(
         name="write to code",
@@ -193,7 +180,6 @@ CORE_MUTANTS = (
         message=r"write of 4 bytes at 0x00000\w+, in ITCM after its copy",
         place="interrupt_enable|gyro_run",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="unaligned words",
@@ -215,7 +201,6 @@ CORE_MUTANTS = (
         message=r"unaligned access at 0x2000\w{4}, this instruction needs 4 bytes' alignment",
         place="gyro_sample_handler",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="unaligned floats",
@@ -227,7 +212,6 @@ CORE_MUTANTS = (
         message=r"unaligned access at 0x2000\w{4}, this instruction needs 4 bytes' alignment",
         place="gyro_sample_handler",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="unaligned access to a register",
@@ -236,7 +220,6 @@ CORE_MUTANTS = (
         new='\t__asm volatile("str %0, [%1]" ::"r"(ADC1_CR1_SCAN), "r"(0x40012006u));\n',
         message=r"unaligned access at 0x40012006, this instruction needs 4 bytes' alignment",
         place="power_start",
-        slow=True,
     ),
     Mutant(
         name="register written by a byte",
@@ -246,7 +229,6 @@ CORE_MUTANTS = (
         message=r"ADC1_CR1 has a write of 8 bits, but takes 32",
         place="power_start",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="division by zero",
@@ -256,17 +238,15 @@ CORE_MUTANTS = (
         message=r"division by zero",
         place="gyro_run|hal_run",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="flash programmed without erasing it",
         file="src/storage/fault_log.c",
-        old="flash_program(flash, fault_log_address_of(index), &entry,",
-        new="flash_program(flash, fault_log_address_of(0), &entry,",
+        old="return flash_program(log->flash, address, &entry,",
+        new="return flash_program(log->flash, fault_log_address_of(0), &entry,",
         message=r"flash at 0x0800C\w{3} is 0x\w{8} and is to become 0x\w{8}: programming a 1 over a 0",
         seconds=0.4,
         boots=2,
-        slow=True,
     ),
     Mutant(
         name="flash driven by code in flash",
@@ -277,20 +257,18 @@ CORE_MUTANTS = (
         message=r"data-ready edge \(EXTI3\) waited .*: the core waited for busy flash",
         seconds=1.2,
         saves=0.5,
-        slow=True,
     ),
     Mutant(
         name="flash written while motors turn",
         file="src/background.c",
         old="static void background_run_storage(void *context)\n{\n",
         new="static void background_run_storage(void *context)\n{\n\tstatic const uint32_t mark = 0;\n"
-        "\tconst struct hal *hal = ((struct background *)context)->config.hal;\n\n"
+        "\tconst struct hal *hal = ((struct background *)context)->config.board.hal;\n\n"
         "\t(void)flash_program(&hal->flash, NF_FLASH_FAULT_RECORD_ADDRESS + 0x3F00u, &mark, sizeof mark);\n",
         message=r"flash at 0x0800FF00 is programmed while motor 1 turns \(DShot value \d+\)",
         place="flash_memory_program",
         seconds=3.8,
         flown=True,
-        slow=True,
     ),
     Mutant(
         name="flash unlocked by a wrong key",
@@ -299,7 +277,6 @@ CORE_MUTANTS = (
         new="#define FLASH_KEY_2 0xCDEF89ACu",
         message=r"FLASH_KEYR = 0xCDEF89AC, expected 0xCDEF89AB while locked",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="option bytes written while they are locked",
@@ -309,7 +286,6 @@ CORE_MUTANTS = (
         message=r"FLASH_OPTCR is written while it is locked, expected both keys in FLASH_OPTKEYR before",
         place="flash_memory_begin",
         seconds=0.4,
-        slow=True,
     ),
     Mutant(
         name="flash written before it has rested",
@@ -318,6 +294,5 @@ CORE_MUTANTS = (
         new="(FLASH_SR & FLASH_SR_OPERR) != 0u; ++look",
         message=r"is written while the controller is busy, expected FLASH_SR BSY 0 before",
         seconds=0.4,
-        slow=True,
     ),
 )

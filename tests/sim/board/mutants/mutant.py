@@ -19,4 +19,4 @@ class Mutant:
     flown: bool = False  # armed by the receiver, at part throttle; else idle, receiver off
     saves: float | None = None  # when a client asks for the settings to be saved [s]
     boots: int = 1  # so many power-ups, each for so long
-    slow: bool = False  # for the long run only
+    ordinary: bool = False  # otherwise for the long run only

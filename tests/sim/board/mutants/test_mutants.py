@@ -36,7 +36,7 @@ UNCHANGED = Mutant(
 @pytest.mark.parametrize(
     "mutant",
     [
-        pytest.param(m, id=m.name.replace(" ", "-"), marks=[pytest.mark.slow] if m.slow else [])
+        pytest.param(m, id=m.name.replace(" ", "-"), marks=[] if m.ordinary else [pytest.mark.slow])
         for m in MUTANTS
     ],
 )
@@ -47,6 +47,7 @@ def test_mistake_is_named_when_the_firmware_makes_it(fly_mutant: Fly, mutant: Mu
         assert re.search(rf"in {mutant.place}\+0x\w+ \(", str(caught.value)), caught.value
 
 
+@pytest.mark.slow
 def test_firmware_flies_when_it_is_built_and_flown_as_mutants_are(fly_mutant: Fly) -> None:
     flight = fly_mutant(replace(UNCHANGED, seconds=3.8, flown=True))
     assert flight.report.resets == ("power",)
@@ -69,6 +70,7 @@ def test_firmware_does_not_arm_when_a_controller_takes_longer_than_a_sample(
     assert not any(flight.values)
 
 
+@pytest.mark.slow
 def test_firmware_saves_its_settings_when_it_is_built_and_asked_as_mutants_are(fly_mutant: Fly) -> None:
     report = fly_mutant(replace(UNCHANGED, seconds=0.8, saves=0.5, boots=2)).report
     assert report.resets == ("power", "power")

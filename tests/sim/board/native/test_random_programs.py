@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from neuroflight.sim.board.core.context import BoardError
+from tests.sampling import examples
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
@@ -160,7 +161,7 @@ def execute(bench: Bench, steps: list[tuple[str, str, int]], pieces: int) -> lis
     return seen
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(examples(160)))
 def test_random_program_sees_the_same_when_registers_are_read_meanwhile(
     make_bench: type[Bench], seed: int
 ) -> None:
@@ -168,7 +169,7 @@ def test_random_program_sees_the_same_when_registers_are_read_meanwhile(
     assert execute(make_bench(), steps, 1) == execute(make_bench(), steps, 7)
 
 
-@pytest.mark.parametrize("seed", range(100, 120))
+@pytest.mark.parametrize("seed", range(100, 100 + examples(80)))
 def test_random_program_on_spi3_sees_the_same_when_registers_are_read_meanwhile(
     make_bench: type[Bench], seed: int
 ) -> None:
@@ -177,5 +178,6 @@ def test_random_program_on_spi3_sees_the_same_when_registers_are_read_meanwhile(
 
 
 def test_most_random_programs_get_through(make_bench: type[Bench]) -> None:
-    refused = [isinstance(execute(make_bench(), program(seed, 12), 1)[-2], str) for seed in range(40)]
-    assert sum(refused) < 10
+    seeds = range(examples(160))
+    refused = [isinstance(execute(make_bench(), program(seed, 12), 1)[-2], str) for seed in seeds]
+    assert sum(refused) < len(seeds) // 4

@@ -29,11 +29,7 @@ def configure(bench: Bench) -> None:
 
 
 def start_dma(bench: Bench, circular: bool = True, count: int = 64) -> None:
-    bench.write("DMA2_S0PAR", 0x4001204C)
-    bench.write("DMA2_S0M0AR", BUFFER)
-    bench.write("DMA2_S0NDTR", count)
-    bench.write("DMA2_S0CR", circular << 8 | 1 << 13 | 1 << 11 | 1 << 10)
-    bench.set("DMA2_S0CR", EN=1)
+    bench.stream("DMA2_S0", 0x4001204C, BUFFER, count, circular << 8 | 1 << 13 | 1 << 11 | 1 << 10)
 
 
 def test_battery_is_measured_when_converted_round_by_round(fast: Bench) -> None:

@@ -22,14 +22,11 @@ def prepare(
     bench: Bench, memory: int = DTCM, count: int = 8, options: int = MINC, peripheral: int = USART1_RDR
 ) -> None:
     """USART1's receiver on DMA2 stream 5 channel 4."""
-    bench.write("DMA2_S5PAR", peripheral)
-    bench.write("DMA2_S5M0AR", memory)
-    bench.write("DMA2_S5NDTR", count)
-    bench.write("DMA2_S5CR", 4 << 25 | options)
+    bench.stream("DMA2_S5", peripheral, memory, count, 4 << 25 | options, enable=False)
 
 
 def give(bench: Bench, *items: int) -> None:
-    bench.hardware.dma.give("USART1_RX", items)
+    bench.hardware.dma.requests["USART1_RX"].give(items)
 
 
 def test_requests_are_where_the_boards_facts_say() -> None:
@@ -76,7 +73,7 @@ def test_stream_says_it_has_ended_when_stopped(fast: Bench) -> None:
     fast.set("DMA2_S5CR", EN=0)
     assert fast.get("DMA2_HISR", "TCIF5") == 1
     assert fast.read("DMA2_S5NDTR") == 7
-    assert fast.hardware.dma.available("USART1_RX") == 0
+    assert fast.hardware.dma.requests["USART1_RX"].available == 0
 
 
 @pytest.mark.parametrize(
@@ -120,10 +117,7 @@ def send(bench: Bench, memory: int) -> None:
     bench.write("USART1_BRR", 938)
     bench.write("USART1_CR3", bench.bits("USART1_CR3", "DMAT"))
     bench.write("USART1_CR1", bench.bits("USART1_CR1", "TE", "UE"))
-    bench.write("DMA2_S7PAR", USART1_RDR + 4)
-    bench.write("DMA2_S7M0AR", memory)
-    bench.write("DMA2_S7NDTR", 4)
-    bench.write("DMA2_S7CR", 4 << 25 | 1 << 6 | MINC | 1)
+    bench.stream("DMA2_S7", USART1_RDR + 4, memory, 4, 4 << 25 | 1 << 6 | MINC)
 
 
 def test_stream_is_refused_when_it_reads_dtcm_while_the_core_sleeps(fast: Bench) -> None:
@@ -166,10 +160,7 @@ def test_stream_is_refused_when_its_peripheral_has_no_clock(fast: Bench) -> None
 
 
 def test_dma1_is_refused_when_its_peripheral_is_not_on_apb1(fast: Bench) -> None:
-    fast.write("DMA1_S5PAR", USART1_RDR)
-    fast.write("DMA1_S5M0AR", DTCM)
-    fast.write("DMA1_S5NDTR", 1)
-    fast.write("DMA1_S5CR", 4 << 25)
+    fast.stream("DMA1_S5", USART1_RDR, DTCM, 1, 4 << 25, enable=False)
     with pytest.raises(
         BoardError, match="DMA1 reaches peripherals on APB1 only, but its address is USART1_RDR"
     ):
@@ -183,6 +174,6 @@ def test_streams_go_on_alike_when_restored(fast: Bench) -> None:
     registers = fast.hardware.registers.state()
     give(fast, *range(3, 9))
     fast.hardware.registers.restore(registers)
-    assert fast.hardware.dma.available("USART1_RX") == 6
+    assert fast.hardware.dma.requests["USART1_RX"].available == 6
     give(fast, 7)
     assert fast.context.memory(DTCM, 3) == bytes([1, 2, 7])

@@ -19,9 +19,11 @@ PG, SER, STRT, LOCK = 1 << 0, 1 << 1, 1 << 16, 1 << 31
 WORDS = 2 << 8  # PSIZE
 
 
-def unlock(bench: Bench) -> None:
+def unlock(bench: Bench, control: int = LOCK) -> None:
     bench.write("FLASH_KEYR", 0x45670123)
     bench.write("FLASH_KEYR", 0xCDEF89AB)
+    if control != LOCK:
+        bench.write("FLASH_CR", control)
 
 
 def store(bench: Bench, address: int, value: int) -> None:
@@ -30,19 +32,16 @@ def store(bench: Bench, address: int, value: int) -> None:
 
 
 def program_bytes(bench: Bench) -> None:
-    unlock(bench)
-    bench.write("FLASH_CR", PG)
+    unlock(bench, PG)
 
 
 def begin_a_word(bench: Bench) -> None:
-    unlock(bench)
-    bench.write("FLASH_CR", WORDS | PG)
+    unlock(bench, WORDS | PG)
     bench.hardware.flash.program(SECTOR_1, 4, 0)
 
 
 def test_word_is_programmed_when_unlocked_and_its_time_has_passed(bench: Bench) -> None:
-    unlock(bench)
-    bench.write("FLASH_CR", WORDS | PG)
+    unlock(bench, WORDS | PG)
     began = bench.context.cycle
     bench.hardware.flash.program(SECTOR_1, 4, 0x12345678)
     assert bench.get("FLASH_SR", "BSY") == 1
@@ -55,8 +54,7 @@ def test_word_is_programmed_when_unlocked_and_its_time_has_passed(bench: Bench) 
 
 
 def test_bits_can_be_cleared_but_not_set_when_a_word_is_not_erased(bench: Bench) -> None:
-    unlock(bench)
-    bench.write("FLASH_CR", WORDS | PG)
+    unlock(bench, WORDS | PG)
     store(bench, SECTOR_1, 0xFFFF0F0F)
     store(bench, SECTOR_1, 0x0000000F)
     assert bench.context.load(SECTOR_1, 4) == 0x0000000F
@@ -66,8 +64,7 @@ def test_bits_can_be_cleared_but_not_set_when_a_word_is_not_erased(bench: Bench)
 
 def test_sector_is_erased_when_half_a_second_has_passed(bench: Bench) -> None:
     bench.context.set_memory(SECTOR_1 - 1, bytes(0x4002))
-    unlock(bench)
-    bench.write("FLASH_CR", WORDS | SER | 1 << 3)
+    unlock(bench, WORDS | SER | 1 << 3)
     bench.set("FLASH_CR", STRT=1)
     bench.context.run(249_000)
     assert bench.get("FLASH_SR", "BSY") == 1
@@ -95,8 +92,7 @@ def test_store_is_refused_when_the_controller_is_not_ready(
 
 
 def test_alias_is_refused_when_stored_to(bench: Bench) -> None:
-    unlock(bench)
-    bench.write("FLASH_CR", WORDS | PG)
+    unlock(bench, WORDS | PG)
     with pytest.raises(BoardError, match="its alias is read-only"):
         bench.hardware.flash.program(0x00204000, 4, 0)
 
@@ -118,8 +114,7 @@ def test_accelerator_reset_is_refused_when_it_is_on(bench: Bench) -> None:
 
 def test_some_bits_are_left_when_power_goes_during_an_operation(bench: Bench) -> None:
     flash = bench.hardware.flash
-    unlock(bench)
-    bench.write("FLASH_CR", WORDS | PG)
+    unlock(bench, WORDS | PG)
     store(bench, SECTOR_1, 0xFF00FF00)
     flash.cut_at = flash.operations
     bench.context.resets.clear()
@@ -156,8 +151,7 @@ def test_options_outlive_a_reset_when_programmed(bench: Bench) -> None:
     bench.reset("software")
     assert bench.get("FLASH_OPTCR", "nWRP") == 0xFD
     assert bench.get("FLASH_OPTCR", "OPTLOCK") == 1
-    unlock(bench)
-    bench.write("FLASH_CR", WORDS | PG)
+    unlock(bench, WORDS | PG)
     bench.hardware.flash.program(SECTOR_1, 4, 0)
     assert bench.get("FLASH_SR", "WRPERR") == 1
     assert bench.context.load(SECTOR_1, 4) == 0xFFFFFFFF
@@ -173,8 +167,7 @@ def test_options_are_refused_when_they_would_lock_the_chip(bench: Bench) -> None
 
 @pytest.mark.parametrize(("value", "silent_ms"), [(48, 0), (47, 0), (2047, 101)])
 def test_flash_is_left_alone_when_a_motor_turns(bench: Bench, value: int, silent_ms: int) -> None:
-    unlock(bench)
-    bench.write("FLASH_CR", WORDS | SER | 1 << 3)
+    unlock(bench, WORDS | SER | 1 << 3)
     bench.hardware.escs[2].protocol = 600
     bench.hardware.escs[2].accept(Frame(3, bench.context.cycle, value, False, 600))
     bench.context.run(1000 * silent_ms)

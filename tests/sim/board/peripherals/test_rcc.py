@@ -42,11 +42,23 @@ def test_wait_states_follow_the_manuals_table_when_the_core_is_faster(hz: int, s
     assert wait_states(hz) == states
 
 
-def test_switch_is_refused_when_flash_has_too_few_wait_states(fast: Bench) -> None:
-    with pytest.raises(
-        BoardError, match="flash wait states too few: FLASH_ACR LATENCY is 6 at 216 MHz, expected 7"
-    ):
-        fast.set("FLASH_ACR", LATENCY=6)
+@pytest.mark.parametrize(
+    ("register", "field", "value", "message"),
+    [
+        (
+            "FLASH_ACR",
+            "LATENCY",
+            6,
+            "flash wait states too few: FLASH_ACR LATENCY is 6 at 216 MHz, expected 7",
+        ),
+        ("RCC_CFGR", "PPRE1", 4, "APB1 runs at 108 MHz, expected 54 MHz at most"),
+    ],
+)
+def test_full_speed_is_refused_when_flash_or_a_bus_cannot_follow(
+    fast: Bench, register: str, field: str, value: int, message: str
+) -> None:
+    with pytest.raises(BoardError, match=message):
+        fast.set(register, **{field: value})
 
 
 def test_switch_is_refused_when_the_source_is_not_ready(bench: Bench) -> None:
@@ -83,11 +95,6 @@ def test_full_speed_is_refused_when_over_drive_is_off(bench: Bench) -> None:
     bench.set("RCC_CFGR", PPRE1=5, PPRE2=4)
     with pytest.raises(BoardError, match="the core runs at 216 MHz, expected 180 MHz at most"):
         bench.set("RCC_CFGR", SW=2)
-
-
-def test_bus_is_refused_when_it_is_too_fast(fast: Bench) -> None:
-    with pytest.raises(BoardError, match="APB1 runs at 108 MHz, expected 54 MHz at most"):
-        fast.set("RCC_CFGR", PPRE1=4)
 
 
 def test_over_drive_is_refused_when_its_steps_are_skipped(bench: Bench) -> None:

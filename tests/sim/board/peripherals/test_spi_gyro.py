@@ -74,15 +74,21 @@ def start_chip(bench: Bench, speed: int = SLOW) -> None:
     bench.set("SPI1_CR1", SPE=1)
 
 
+def started(make_bench: type[Bench], chip: gyro_chip.GyroKind, speed: int = SLOW) -> Bench:
+    """A board at 216 MHz whose chip is awake."""
+    bench = make_bench(chip=chip)
+    bench.full_speed()
+    start_chip(bench, speed)
+    return bench
+
+
 def start_dma(bench: Bench, count: int = 15, rx_channel: int = 3) -> None:
     bench.set("SPI1_CR1", SPE=0)
     bench.set("SPI1_CR2", RXDMAEN=1)
     for stream, memory, direction, channel in ((2, RX, 0, rx_channel), (3, TX, 1, 3)):
-        bench.write(f"DMA2_S{stream}PAR", 0x4001300C)
-        bench.write(f"DMA2_S{stream}M0AR", memory)
-        bench.write(f"DMA2_S{stream}NDTR", count)
-        bench.write(f"DMA2_S{stream}CR", channel << 25 | 1 << 10 | direction << 6 | 1 << 4)
-        bench.set(f"DMA2_S{stream}CR", EN=1)
+        bench.stream(
+            f"DMA2_S{stream}", 0x4001300C, memory, count, channel << 25 | 1 << 10 | direction << 6 | 1 << 4
+        )
     select(bench, True)
     bench.set("SPI1_CR2", TXDMAEN=1)
     bench.set("SPI1_CR1", SPE=1)
@@ -98,9 +104,7 @@ def test_chip_says_who_it_is_when_asked(make_bench: type[Bench], chip: gyro_chip
 
 
 def test_an_icm20689_sleeps_when_it_is_reset_and_its_gyro_path_is_refused(make_bench: type[Bench]) -> None:
-    bench = make_bench(chip=ICM20689)
-    bench.full_speed()
-    start_chip(bench)
+    bench = started(make_bench, ICM20689)
     assert bench.hardware.gyro.next_sample is not None
     exchange(bench, gyro_chip.PWR_MGMT_1, 0x80)
     bench.context.run(100_001)
@@ -111,40 +115,16 @@ def test_an_icm20689_sleeps_when_it_is_reset_and_its_gyro_path_is_refused(make_b
         exchange(bench, gyro_chip.SIGNAL_PATH_RESET, 0x07)
 
 
-def idle_icm20602(make_bench: type[Bench]) -> Bench:
-    """An ICM20602 that answers, and nothing was written to."""
+def test_an_icm20602_has_the_registers_of_its_data_sheet_after_reset(make_bench: type[Bench]) -> None:
     bench = make_bench(chip=ICM20602)
     bench.full_speed()
     configure(bench)
     bench.context.run(100_000)
-    return bench
-
-
-def test_an_icm20602_has_the_registers_of_its_data_sheet_after_reset(make_bench: type[Bench]) -> None:
-    bench = idle_icm20602(make_bench)
     told = {address: exchange(bench, address | 0x80, 0)[1] for address, _ in ICM20602.writable}
     assert {address: value for address, value in told.items() if value} == {
         gyro_chip.CONFIG: 0x80,
         gyro_chip.PWR_MGMT_1: 0x41,
     }
-
-
-@pytest.mark.parametrize(
-    ("address", "value"),
-    [
-        (gyro_chip.USER_CTRL, 0x10),  # I2C_IF_DIS of its kin
-        (gyro_chip.CONFIG, 0x80),
-        (gyro_chip.I2C_IF, 0x41),
-        (gyro_chip.SIGNAL_PATH_RESET, 0x07),
-        (gyro_chip.GYRO_CONFIG, 0x1C),
-    ],
-)
-def test_an_icm20602_refuses_bits_that_it_has_not(make_bench: type[Bench], address: int, value: int) -> None:
-    bench = idle_icm20602(make_bench)
-    with pytest.raises(
-        BoardError, match=rf"register 0x{address:02X} of the ICM20602 = 0x{value:02X}: the model"
-    ):
-        exchange(bench, address, value)
 
 
 @pytest.mark.parametrize(
@@ -157,17 +137,13 @@ def test_an_icm20602_refuses_bits_that_it_has_not(make_bench: type[Bench], addre
 def test_an_icm20602_is_refused_when_it_samples_without_what_it_asks_for(
     make_bench: type[Bench], address: int, value: int, message: str
 ) -> None:
-    bench = make_bench(chip=ICM20602)
-    bench.full_speed()
-    start_chip(bench)
+    bench = started(make_bench, ICM20602)
     with pytest.raises(BoardError, match=message):
         exchange(bench, address, value)
 
 
 def test_an_icm20602_samples_at_another_rate_and_scale_when_it_is_set_up_so(make_bench: type[Bench]) -> None:
-    bench = make_bench(chip=ICM20602)
-    bench.full_speed()
-    start_chip(bench)
+    bench = started(make_bench, ICM20602)
     chip = bench.hardware.gyro
     chip.measure((0, 0, 0), 0, (100, -300, 20_000))
     for written, rate_hz, counts in (
@@ -186,9 +162,7 @@ def test_an_icm20602_samples_at_another_rate_and_scale_when_it_is_set_up_so(make
 
 
 def test_an_icm20601_halves_the_counts_when_it_is_set_up_like_its_kin(make_bench: type[Bench]) -> None:
-    bench = make_bench(chip=ICM20601)
-    bench.full_speed()
-    start_chip(bench)
+    bench = started(make_bench, ICM20601)
     bench.hardware.gyro.measure((2048, 0, 0), 0, (1000, -1001, 0))
     for register in (gyro_chip.GYRO_CONFIG, gyro_chip.ACCEL_CONFIG):
         exchange(bench, register, 0x18)  # +-4000 deg/s, +-32 g
@@ -197,17 +171,19 @@ def test_an_icm20601_halves_the_counts_when_it_is_set_up_like_its_kin(make_bench
     assert struct.unpack(">7h", data) == (1024, 0, 0, 0, 500, -501, 0)
 
 
-def test_an_icm20602_is_refused_when_it_is_read_above_10_mhz(make_bench: type[Bench]) -> None:
-    bench = make_bench(chip=ICM20602)
-    bench.full_speed()
-    start_chip(bench, FAST)
-    with pytest.raises(BoardError, match=r"data of the ICM20602 at 13.5 MHz, expected 10 MHz at most"):
+@pytest.mark.parametrize(
+    ("chip", "message"),
+    [
+        (ICM20602, r"data of the ICM20602 at 13.5 MHz, expected 10 MHz at most"),
+        (ICM20689, r"data of the ICM20689 at 13.5 MHz, expected 8 MHz at most"),
+    ],
+)
+def test_spi_is_refused_when_data_is_read_too_fast(
+    make_bench: type[Bench], chip: gyro_chip.GyroKind, message: str
+) -> None:
+    bench = started(make_bench, chip, FAST)
+    with pytest.raises(BoardError, match=message):
         exchange(bench, gyro_chip.DATA | 0x80, 0)
-
-
-@pytest.mark.parametrize(("chip", "counts"), [(MPU6500, 3005), (ICM20689, 1634), (ICM20602, 1634)])
-def test_the_thermometer_counts_by_its_data_sheet(chip: gyro_chip.GyroKind, counts: int) -> None:
-    assert chip.temperature(30.0) == counts
 
 
 def test_byte_takes_its_clocks_when_polled(fast: Bench) -> None:
@@ -314,14 +290,6 @@ def test_spi_is_refused_when_registers_are_accessed_too_fast(fast: Bench) -> Non
         exchange(fast, gyro_chip.WHO_AM_I | 0x80, 0)
 
 
-def test_spi_is_refused_when_data_is_read_too_fast(make_bench: type[Bench]) -> None:
-    bench = make_bench(chip=ICM20689)
-    bench.full_speed()
-    start_chip(bench, FAST)
-    with pytest.raises(BoardError, match=r"data of the ICM20689 at 13.5 MHz, expected 8 MHz at most"):
-        exchange(bench, gyro_chip.DATA | 0x80, 0)
-
-
 @pytest.mark.parametrize(
     ("register", "field", "value", "message"),
     [
@@ -360,20 +328,32 @@ def test_chip_is_refused_when_its_reset_is_not_over(fast: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("sent", "message"),
+    ("chip", "sent", "message"),
     [
-        ((0x23, 1), "register 0x23 of the MPU6500 = 0x01: the model knows none of it"),
-        ((0x1B, 3), "register 0x1B of the MPU6500 = 0x03: the model knows bits 0x18"),
-        ((0x80 | 0x23, 0), "register 0x23 of the MPU6500 is read, which is not modelled"),
+        (MPU6500, (0x23, 1), "register 0x23 of the MPU6500 = 0x01: the model knows none of it"),
+        (MPU6500, (0x1B, 3), "register 0x1B of the MPU6500 = 0x03: the model knows bits 0x18"),
+        (MPU6500, (0x80 | 0x23, 0), "register 0x23 of the MPU6500 is read, which is not modelled"),
+        *(
+            (ICM20602, sent, "register 0x{:02X} of the ICM20602 = 0x{:02X}: the model".format(*sent))
+            for sent in (
+                (gyro_chip.USER_CTRL, 0x10),  # I2C_IF_DIS of its kin
+                (gyro_chip.CONFIG, 0x80),
+                (gyro_chip.I2C_IF, 0x41),
+                (gyro_chip.SIGNAL_PATH_RESET, 0x07),
+                (gyro_chip.GYRO_CONFIG, 0x1C),
+            )
+        ),
     ],
 )
 def test_chip_is_refused_when_a_register_is_not_modelled(
-    fast: Bench, sent: tuple[int, ...], message: str
+    make_bench: type[Bench], chip: gyro_chip.GyroKind, sent: tuple[int, ...], message: str
 ) -> None:
-    configure(fast)
-    fast.context.run(100_000)
+    bench = make_bench(chip=chip)
+    bench.full_speed()
+    configure(bench)
+    bench.context.run(100_000)
     with pytest.raises(BoardError, match=message):
-        exchange(fast, *sent)
+        exchange(bench, *sent)
 
 
 @pytest.mark.parametrize(("count", "whole"), [(14, False), (15, True), (7, True), (8, False)])

@@ -60,7 +60,7 @@ def send(bench: Bench, values: Sequence[int], bit: int = BIT, tail: int = 2) -> 
 
 def listen(bench: Bench) -> list[Frame]:
     frames: list[Frame] = []
-    bench.hardware.on_frame = frames.append
+    bench.hardware.hear_frames(frames.append)
     return frames
 
 
@@ -234,11 +234,7 @@ def test_timer1_feeds_its_channel_when_compare_requests_come_at_update(fast: Ben
     fast.write("TIM1_CR1", 0x81)
     slots = [540 if bit else 270 for bit in frame_bits(1234, True)] + [0, 0]
     fast.context.set_memory(SLOTS, b"".join(s.to_bytes(4, "little") for s in slots))
-    fast.write("DMA2_S6PAR", fast.address("TIM1_CCR1"))
-    fast.write("DMA2_S6M0AR", SLOTS)
-    fast.write("DMA2_S6NDTR", 18)
-    fast.write("DMA2_S6CR", 2 << 13 | 2 << 11 | 1 << 10 | 1 << 6)
-    fast.set("DMA2_S6CR", EN=1)
+    fast.stream("DMA2_S6", fast.address("TIM1_CCR1"), SLOTS, 18, 2 << 13 | 2 << 11 | 1 << 10 | 1 << 6)
     fast.set("TIM1_DIER", CC1DE=1)
     fast.context.run(100)
     assert [(f.motor, f.value, f.telemetry, f.protocol) for f in frames] == [(6, 1234, True, 300)]

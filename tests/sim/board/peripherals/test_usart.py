@@ -30,11 +30,7 @@ def start_msp(bench: Bench, cr1: int = RE | TE, cr3: int = 0, clock: int = 108_0
 def start_sbus(bench: Bench) -> None:
     """As SBUS comes: 100 kbaud, 8E2, inverted, into a ring by DMA1 stream 5."""
     bench.alternate("PA3", 7)
-    bench.write("DMA1_S5PAR", 0x40004424)
-    bench.write("DMA1_S5M0AR", RING)
-    bench.write("DMA1_S5NDTR", 64)
-    bench.write("DMA1_S5CR", 4 << 25 | 1 << 10 | 1 << 8)
-    bench.set("DMA1_S5CR", EN=1)
+    bench.stream("DMA1_S5", 0x40004424, RING, 64, 4 << 25 | 1 << 10 | 1 << 8)
     bench.write("USART2_BRR", 540)
     bench.write("USART2_CR2", 2 << 12 | 1 << 16)
     bench.write("USART2_CR3", OVRDIS | DMAR)
@@ -136,11 +132,7 @@ def test_reply_leaves_byte_by_byte_when_sent_by_dma(fast: Bench) -> None:
     fast.hardware.usarts["USART1"].on_sent = lambda byte: sent.append((byte, fast.context.cycle))
     fast.context.set_memory(REPLY, b"$M>\0\x01\x01")
     begin = fast.context.cycle
-    fast.write("DMA2_S7PAR", 0x40011028)
-    fast.write("DMA2_S7M0AR", REPLY)
-    fast.write("DMA2_S7NDTR", 6)
-    fast.write("DMA2_S7CR", 4 << 25 | 1 << 10 | 1 << 6)
-    fast.set("DMA2_S7CR", EN=1)
+    fast.stream("DMA2_S7", 0x40011028, REPLY, 6, 4 << 25 | 1 << 10 | 1 << 6)
     assert fast.read("DMA2_S7NDTR") == 4  # one on the wire, one waits
     fast.context.run(1000)
     assert bytes(byte for byte, _ in sent) == b"$M>\0\x01\x01"

@@ -16,7 +16,7 @@ from neuroflight.flash.settings.values import Settings
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.debug.gdb import GdbServer
 from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from neuroflight.sim.board.matekf722 import GYROS, Gyro
+from neuroflight.sim.board.matekf722 import GYROS
 from neuroflight.sim.board.serial import idle_board as idle_board
 from neuroflight.sim.board.serial.bridge import Bridge, PtyEnd, UartLine
 from neuroflight.sim.board.serial.idle_board import (
@@ -39,6 +39,7 @@ from neuroflight.toolchain.contract import (
     Msp,
 )
 from neuroflight.toolchain.errors import LinkError
+from tests.sampling import sampled
 
 MILLISECOND = TIME_HZ // 1000
 
@@ -64,22 +65,20 @@ def idle(booted: tuple[IdleBoard, Snapshot]) -> IdleBoard:
     return booted[0]
 
 
-def test_only_the_pilot_is_missing_when_the_board_has_lain_still(image: Path) -> None:
-    idle = IdleBoard(image.read_bytes(), elf=image.with_suffix(".elf"))
+def test_only_the_pilot_is_missing_when_the_board_has_lain_still(idle: IdleBoard) -> None:
     idle.run_to((ARMING_DELAY_MS + 500) * TIME_HZ // 1000)
     with idle.client() as client:
         info = read_info(client)
         battery = messages.battery_state(client.request(Msp.BATTERY_STATE))
     assert info.arming_reasons == ("RECEIVER_LOST", "SWITCH_NOT_CYCLED")
     assert (battery.cells, battery.level) == (4, messages.BatteryLevel.GOOD)
-    idle.close()
 
 
-@pytest.mark.parametrize("gyro", GYROS.values(), ids=GYROS)
+@pytest.mark.parametrize("chip", sampled(GYROS, "mpu6500"))
 def test_the_chips_temperature_is_read_by_its_own_formula_when_another_one_is_fitted(
-    image: Path, gyro: Gyro
+    image: Path, chip: str
 ) -> None:
-    idle = IdleBoard(image.read_bytes(), elf=image.with_suffix(".elf"), gyro=gyro)
+    idle = IdleBoard(image.read_bytes(), elf=image.with_suffix(".elf"), gyro=GYROS[chip])
     idle.run_to(TIME_HZ)
     with idle.client() as client:
         safety = records.safety(client.request(Msp.SAFETY))
@@ -130,21 +129,13 @@ def test_a_setting_is_refused_with_the_reason_when_the_image_does_not_take_it(
         configured(image.read_bytes(), image.with_suffix(".elf"), settings)
 
 
-def test_the_board_runs_no_faster_than_the_wall_clock_when_it_could(idle: IdleBoard) -> None:
-    wall, slept = 5.0, 0.0
-
-    def sleep(seconds: float) -> None:
-        nonlocal wall, slept
-        wall, slept = wall + seconds, slept + seconds
-
-    begin = idle.board.cycle
-    serve(idle, [], seconds=0.05, clock=lambda: wall, sleep=sleep)
-    assert idle.board.cycle - begin == 50 * MILLISECOND
-    assert slept == pytest.approx(0.05, abs=1e-9)
-
-
-def test_the_board_does_not_catch_up_when_it_was_held_for_long(idle: IdleBoard) -> None:
-    wall, slept = 5.0, 0.0
+@pytest.mark.parametrize(
+    ("held_s", "seconds", "slept_s"), [(0.0, 0.05, 0.05), (10.0, 0.3, 0.3 - 0.001 - 0.1)]
+)
+def test_the_board_keeps_to_the_wall_clock_and_catches_up_a_tenth_of_a_second_at_most(
+    idle: IdleBoard, held_s: float, seconds: float, slept_s: float
+) -> None:
+    wall, slept, begin = 5.0, 0.0, idle.board.cycle
 
     def sleep(seconds: float) -> None:
         nonlocal wall, slept
@@ -152,11 +143,11 @@ def test_the_board_does_not_catch_up_when_it_was_held_for_long(idle: IdleBoard) 
 
     def hold() -> None:
         nonlocal wall
-        wall += 0.0 if idle.board.cycle > begin + MILLISECOND else 10.0
+        wall += 0.0 if idle.board.cycle > begin + MILLISECOND else held_s
 
-    begin = idle.board.cycle
-    serve(idle, [], seconds=0.3, update=hold, clock=lambda: wall, sleep=sleep)
-    assert slept == pytest.approx(0.3 - 0.001 - 0.1, abs=0.002)  # a tenth of a second, not ten
+    serve(idle, [], seconds=seconds, update=hold, clock=lambda: wall, sleep=sleep)
+    assert idle.board.cycle - begin == round(seconds * 1000) * MILLISECOND
+    assert slept == pytest.approx(slept_s, abs=0.002 if held_s else 1e-9)
 
 
 def test_a_program_is_served_when_the_board_is_idle(idle: IdleBoard) -> None:

@@ -11,28 +11,25 @@ import pytest
 from neuroflight.cli.board.policy import candidate_of
 from neuroflight.flash.board.info import read_info
 from neuroflight.flash.link import requests
-from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.messages import PolicySource
-from neuroflight.flash.link.msp import Decoder, Message, encode, request
 from neuroflight.flash.policy import revert as reverts
 from neuroflight.flash.policy import swap as swaps
 from neuroflight.flash.policy.candidate import Candidate
 from neuroflight.flash.policy.slots import read_policies
-from neuroflight.sim.board.core.context import TIME_HZ
-from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from neuroflight.sim.board.debug.snapshot import Snapshot
 from neuroflight.sim.board.peripherals.flash import Cut
-from neuroflight.sim.board.peripherals.usart import Format
-from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
 from neuroflight.sim.board.serial.idle_board import IdleBoard, configured
 from neuroflight.toolchain.contract import Msp
-from tests.flash.policies import another_policy
+from tests.flash.image.emulated import BAUD
+from tests.flash.policy.policies import another_policy
+from tests.sim.board.serial.power import SHOWN, PowerBench
 
-BAUD = 921_600
+# The ordinary run cuts a slot's erase and one of its words in test_image_flash_power.py, and every operation
+# of a slot in tests/firmware/storage/test_policy_slots.py.
+pytestmark = pytest.mark.slow
+
 SWAP_S = 5.0  # what a swap may take of emulated time, its restart included
-EXCHANGE_S = 3.0  # a request's: more than an erase and a restart
-STEP = TIME_HZ // 10_000
 FINAL = -1  # of the words of a blob: its first, which is programmed last and makes it valid
-SHOWN = frozenset({"POLICY_BAD", "FAULT"})
 
 
 def candidates(shipped: Path, folder: Path) -> tuple[Candidate, Candidate]:
@@ -42,63 +39,25 @@ def candidates(shipped: Path, folder: Path) -> tuple[Candidate, Candidate]:
     )
 
 
-class Bench:
+class Bench(PowerBench):
     """An idle board at the end of a line, and two policies for it."""
 
     def __init__(self, flash: bytes, elf: Path, policies: tuple[Candidate, Candidate]) -> None:
-        self.idle = IdleBoard(flash, elf=elf)
+        super().__init__(IdleBoard(flash, elf=elf))
         self.first, self.second = policies
         self.idle.boot()
 
-    def transport(self) -> LineTransport:
-        return LineTransport(UartLine(self.idle.board, format=Format(BAUD)), self.idle.run_to)
-
-    def client(self) -> Client:
-        line = self.transport()
-        return Client(line, line.clock)
-
-    @property
-    def seconds(self) -> float:
-        return self.idle.board.cycle / TIME_HZ
-
-    def line(self) -> swaps.Board:
-        return swaps.Board(
-            self.transport,
-            lambda: self.seconds,
-            lambda seconds: self.idle.run_to(self.idle.board.cycle + round(seconds * TIME_HZ)),
-        )
-
     def swap(self, candidate: Candidate, progress: swaps.Progress = lambda done, total: None) -> PolicySource:
         """All of it, as the command does."""
-        line = self.line()
-        client, place = swaps.write(self.client(), candidate, line, progress)
+        line = self.wired.for_swaps()
+        client, place = swaps.write(self.wired.client(), candidate, line, progress)
         swaps.start(client, candidate, place, line).close()
         return place.source
 
-    # --- With power that goes -------------------------------------------------------------------
-    def frame(self, command: Msp, payload: bytes = b"") -> bytes | None:
-        """The reply to a request; None: power went."""
-        resets, line, decoder = len(self.idle.board.engine.resets), UartLine(self.idle.board), Decoder()
-        line.format = Format(BAUD)
-        line.send(encode(request(command, payload)))
-        end = self.idle.board.cycle + round(EXCHANGE_S * TIME_HZ)
-        while self.idle.board.cycle < end:
-            self.idle.run_to(self.idle.board.cycle + STEP)
-            if len(self.idle.board.engine.resets) > resets:
-                assert self.idle.board.engine.resets[resets:] == ["power"]
-                return None
-            for event in decoder.feed(line.take()):
-                assert isinstance(event, Message)
-                assert event.direction.name == "REPLY", event
-                return event.payload
-        raise AssertionError(f"no answer to {command.name}")
-
     def cut_swap(self, candidate: Candidate, part: float, cut: Cut) -> None:
         """Power goes in a swap: at its erase, where `part` is 0, or at so much of its words."""
-        flash = self.idle.board.hardware.flash
         words = candidate.size // 4
-        at = words if part == FINAL else round(part * words)
-        flash.cut_at, flash.cut = flash.operations + at, cut
+        self.cut_at(words if part == FINAL else round(part * words), cut)
         reply = self.frame(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(candidate.size))
         if reply is not None:
             blob = candidate.blob(requests.slot_begun(reply))
@@ -111,24 +70,23 @@ class Bench:
         self.idle.boot()
 
     def cut_revert(self, cut: Cut) -> None:
-        flash = self.idle.board.hardware.flash
-        flash.cut_at, flash.cut = flash.operations, cut
+        self.cut_at(0, cut)
         assert self.frame(Msp.POLICY_SLOT_REVERT) is None
         self.idle.boot()
 
     def flown(self) -> str:
         """The SHA-256 of the policy that is flown, which passed its self-test."""
-        with self.client() as client:
+        with self.wired.client() as client:
             info = read_info(client)
         assert info.policy is not None and info.policy.good
         assert not SHOWN & set(info.arming_reasons)
         return info.policy.sha256
 
     def revert(self) -> None:
-        client = self.client()
+        client = self.wired.client()
         flown, before = reverts.plan(read_policies(client), other_aircraft=False)
         reverts.revert(client)
-        reverts.start(client, flown, before, self.line()).close()
+        reverts.start(client, flown, before, self.wired.for_swaps()).close()
 
 
 @dataclass(frozen=True)
@@ -141,20 +99,18 @@ class Kept:
     written: Snapshot  # all but the end
     swapped: Snapshot
     swap_s: float  # of emulated time
-    cut: dict[tuple[float, Cut], Snapshot] = field(
-        default_factory=dict
-    )  # booted after a swap that was cut so
+    cut: dict[tuple[float, Cut], Snapshot] = field(default_factory=dict)  # booted after a swap cut so
 
     def after(self, part: float, cut: Cut) -> Bench:
         """From `swapped`, with the swap to `second` cut there."""
         if (part, cut) not in self.cut:
             bench = self.at(self.swapped)
             bench.cut_swap(bench.second, part, cut)
-            self.cut[part, cut] = take_snapshot(bench.idle.board.engine)
+            self.cut[part, cut] = bench.take()
         return self.at(self.cut[part, cut])
 
     def at(self, snapshot: Snapshot) -> Bench:
-        restore_snapshot(self.bench.idle.board.engine, snapshot)
+        self.bench.restore(snapshot)
         return self.bench
 
 
@@ -162,17 +118,17 @@ class Kept:
 def kept(board_image: Path, shipped_policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Kept]:
     flash = configured(board_image.with_suffix(".bin").read_bytes(), board_image, {"msp_baud": BAUD})
     bench = Bench(flash, board_image, candidates(shipped_policy, tmp_path_factory.mktemp("policies")))
-    engine, written = bench.idle.board.engine, []
+    written = []
 
     def progress(done: int, total: int) -> None:
         if done == total:
-            written.append(take_snapshot(engine))
+            written.append(bench.take())
 
-    empty, began = take_snapshot(engine), bench.seconds
+    empty, began = bench.take(), bench.wired.seconds
     assert bench.swap(bench.first, progress) is PolicySource.SLOT_B
-    swap_s = bench.seconds - began
+    swap_s = bench.wired.seconds - began
     own = candidate_of(shipped_policy).sha256
-    yield Kept(bench, own, empty, written[0], take_snapshot(engine), swap_s)
+    yield Kept(bench, own, empty, written[0], bench.take(), swap_s)
     bench.idle.close()
 
 
@@ -189,12 +145,11 @@ def test_a_swap_takes_less_than_five_seconds_when_the_line_is_fast(kept: Kept) -
     check_seconds(bench, PolicySource.SLOT_B, kept.swap_s)
 
 
-@pytest.mark.slow
 def test_the_smaller_sector_takes_less_than_five_seconds_when_it_is_its_turn(kept: Kept) -> None:
     bench = kept.at(kept.swapped)
-    began = bench.seconds
+    began = bench.wired.seconds
     assert bench.swap(bench.second) is PolicySource.SLOT_A
-    check_seconds(bench, PolicySource.SLOT_A, bench.seconds - began)
+    check_seconds(bench, PolicySource.SLOT_A, bench.wired.seconds - began)
     assert bench.flown() == bench.second.sha256
     bench.revert()
     assert bench.flown() == bench.first.sha256
@@ -211,8 +166,7 @@ def test_an_old_or_the_new_policy_is_flown_when_power_goes_at_the_word_that_make
     kept: Kept, cut: Cut
 ) -> None:
     bench = kept.at(kept.written)
-    flash = bench.idle.board.hardware.flash
-    flash.cut_at, flash.cut = flash.operations, cut
+    bench.cut_at(0, cut)
     assert bench.frame(Msp.POLICY_SLOT_END) is None
     bench.idle.boot()
     expected = {Cut.AFTER: {bench.first.sha256}, Cut.BEFORE: {kept.own}, Cut.NOISE: {kept.own}}
@@ -229,7 +183,6 @@ SECOND = [(0, Cut.NOISE), (0.6, Cut.BETWEEN), (FINAL, Cut.BETWEEN), (FINAL, Cut.
 PAIRS = [(first, second) for first in FIRST for second in SECOND]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("once", "again"), PAIRS)
 def test_an_old_or_the_new_policy_is_flown_when_power_goes_in_a_swap_and_in_its_recovery(
     kept: Kept, once: tuple[float, Cut], again: tuple[float, Cut]
@@ -251,9 +204,7 @@ def old_or_new(bench: Bench, part: float) -> str:
     return flown
 
 
-@pytest.mark.parametrize(
-    "cut", [pytest.param(cut, marks=[] if cut is Cut.NOISE else pytest.mark.slow) for cut in Cut]
-)
+@pytest.mark.parametrize("cut", Cut)
 def test_one_of_two_policies_is_flown_when_power_goes_in_a_revert_and_in_its_recovery(
     kept: Kept, cut: Cut
 ) -> None:
@@ -269,12 +220,10 @@ def test_one_of_two_policies_is_flown_when_power_goes_in_a_revert_and_in_its_rec
     assert bench.flown() == kept.own
 
 
-@pytest.mark.slow
 def test_the_command_goes_on_by_itself_when_power_goes_in_the_middle(kept: Kept) -> None:
     bench = kept.at(kept.swapped)
-    flash = bench.idle.board.hardware.flash
-    flash.cut_at, flash.cut = flash.operations + 2000, Cut.NOISE
-    resets = len(bench.idle.board.engine.resets)
+    bench.cut_at(2000, Cut.NOISE)
+    resets = len(bench.engine.resets)
     assert bench.swap(bench.second) is PolicySource.SLOT_A
-    assert bench.idle.board.engine.resets[resets:] == ["power", "software"]
+    assert bench.engine.resets[resets:] == ["power", "software"]
     assert bench.flown() == bench.second.sha256

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,7 @@ from neuroflight.toolchain.contract import (
     Msp,
 )
 from neuroflight.toolchain.errors import LinkError
+from tests.sampling import sampled
 
 OLD = {"roll_expo": 0.25, "yaw_deadband_us": 7, "battery_low_v": 3.0}
 NEW = {"roll_expo": 0.75, "yaw_deadband_us": 9, "battery_low_v": 3.25}
@@ -91,13 +93,7 @@ def test_stored_settings_are_there_when_the_board_was_told_to_start_anew(idle: I
     assert held(idle) == OLD
 
 
-@pytest.mark.parametrize(
-    "baud",
-    [
-        pytest.param(baud, marks=[] if baud in (MSP_BAUDS[0], MSP_BAUDS[-1]) else pytest.mark.slow)
-        for baud in MSP_BAUDS
-    ],
-)
+@pytest.mark.parametrize("baud", sampled(MSP_BAUDS, MSP_BAUDS[-1]))
 def test_it_talks_at_the_speed_that_is_stored_when_it_has_started_anew(idle: IdleBoard, baud: int) -> None:
     store(idle, {"msp_baud": baud, "gyro_rate_hz": 8000})
     with idle.client() as client:
@@ -164,32 +160,23 @@ def test_a_save_takes_as_many_operations_as_are_cut_when_it_is_left_alone(save: 
     assert held(save.idle) == NEW
 
 
-SAMPLE = [
-    *((ERASE, cut) for cut in (Cut.AFTER, Cut.BETWEEN, Cut.NOISE)),
-    (1, Cut.BETWEEN),
+SAMPLE = [  # of the ordinary run: tests/firmware/storage cuts at every operation
+    *((ERASE, cut) for cut in (Cut.AFTER, Cut.NOISE)),
     (1 + HEAD_WORDS, Cut.AFTER),
     (OPERATIONS // 2, Cut.WORDS),
-    (OPERATIONS // 2 + 1, Cut.NOISE),
-    *((LAST, cut) for cut in Cut),
+    *((LAST, cut) for cut in (Cut.BEFORE, Cut.AFTER, Cut.BETWEEN)),
 ]
 
 
 @pytest.mark.parametrize(
-    ("operation", "cut"),
-    [
-        pytest.param(
-            operation,
-            cut,
-            marks=[] if (operation, cut) in SAMPLE else pytest.mark.slow,
-            id=f"{operation}-{cut.name.lower()}",
-        )
-        for operation in range(OPERATIONS)
-        for cut in Cut
-    ],
+    "case",
+    sampled(product(range(OPERATIONS), Cut), *SAMPLE),
+    ids=lambda case: f"{case[0]}-{case[1].name.lower()}",
 )
 def test_the_board_boots_with_all_the_old_or_all_the_new_settings_when_power_goes(
-    save: Save, operation: int, cut: Cut
+    save: Save, case: tuple[int, Cut]
 ) -> None:
+    operation, cut = case
     save.cut(operation, cut)
     whole = (operation, cut) in ((LAST, Cut.AFTER), (LAST, Cut.WORDS))
     assert held(save.idle) in ([OLD, NEW] if whole else [OLD])

@@ -30,7 +30,7 @@ from neuroflight.sim.ports.port import Sample
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import LinkError
 
-READY_S = 1.5  # boot and the calibration of the gyro
+READY_S = 1.1  # boot and the calibration of the gyro
 WALL_S = 5.0  # in which what was written to a pty is there to be read
 TURN = 2 * np.pi
 

@@ -89,7 +89,7 @@ def test_a_file_that_cannot_be_flown_is_refused_with_one_line(tmp_path: Path, te
 
 def test_tuned_lies_beside_the_aircrafts_file_or_the_command_that_finds_it_is_told(tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
-    with pytest.raises(LinkError, match=r"pid tune --of betaflight --aircraft .*mine\.toml --write mine"):
+    with pytest.raises(LinkError, match=r"pid tune --of betaflight --aircraft .*mine\.toml --out mine"):
         tune_path("tuned", str(mine))
     beside = tmp_path / "mine.betaflight.txt"
     beside.write_text("set p_roll = 40\n")

@@ -1,5 +1,6 @@
 """DDPG1 learns, its perturbations fit their distance, and its buffer holds what happened."""
 
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -47,14 +48,11 @@ def test_outputs_fall_within_ten_thousand_steps_when_they_cost() -> None:
     ddpg1 = Ddpg1Config(updates=25, buffer=10_000, actor_learning_rate=3e-4, leg=100)
     reward = TrackingReward(error=0.0, output=1.0)
     config = replace(CONFIG, steps=10_000, task=EpisodicTask(hold_s=0.3), reward=reward)
-    learner = learner_of(ddpg1, config)
     reports: list[Report] = []
-    try:
+    with closing(learner_of(ddpg1, config)) as learner:
         learner.learn(0, reports.append)
         outputs = 0.5 + 0.5 * learner.outputs(np.zeros((1, 6), np.float32))
         updates = learner.state()["updates"]
-    finally:
-        learner.close()
     assert learner.steps == reports[-1].steps == 10_000
     assert updates == 25 * 10_000 // (ddpg1.aircraft * ddpg1.horizon)  # Adam's corrections count on
     assert outputs.mean() < 0.3
@@ -65,28 +63,23 @@ def test_perturbed_outputs_differ_by_the_noise_when_it_was_adapted() -> None:
     """Whatever the deviation was at first: learning does not disturb, its rates are next to nothing."""
     still = replace(PLAIN, learning_rate=1e-12, actor_learning_rate=1e-12, leg=300)
     for first in (1.0, 0.02):
-        learner = learner_of(still)
-        # Another actor: one whose outputs are within 0.003 of 0 hardly differ.
-        actor, _ = learner._networks.parts(learner._learnt.parameters)
-        actor[-2][:] = np.random.default_rng(2).normal(0.0, 0.3, actor[-2].shape)
-        learner._deviation = first
-        try:
+        with closing(learner_of(still)) as learner:
+            # Another actor: one whose outputs are within 0.003 of 0 hardly differ.
+            actor, _ = learner._networks.parts(learner._learnt.parameters)
+            actor[-2][:] = np.random.default_rng(2).normal(0.0, 0.3, actor[-2].shape)
+            learner._deviation = first
             learner.learn(0, lambda report: None)
             rng = np.random.default_rng(3)
             found = [learner._adapt(rng) for _ in range(200)]
-        finally:
-            learner.close()
         assert np.median(found) == pytest.approx(still.noise, rel=0.15), first
 
 
 def test_the_buffer_holds_actions_rewards_and_last_observations_when_episodes_end() -> None:
     """Every observation that follows is the next one of the same aircraft, but where its episode ended."""
     short = PulseTask(idle_s=0.004, command_s=0.01, rest_s=0.006)
-    learner = learner_of(replace(PLAIN, leg=10), replace(CONFIG, task=short, reward=MotorReward()))
-    try:
+    config = replace(CONFIG, task=short, reward=MotorReward())
+    with closing(learner_of(replace(PLAIN, leg=10), config)) as learner:
         learner.learn(0, lambda report: None)
-    finally:
-        learner.close()
     assert learner._replay.filled == 1000
     rows = learner._replay.rows[:1000].reshape(50, 20, -1)  # control steps, aircraft
     seen, actions, rewards, following = np.split(rows, [6, 10, 11], axis=2)
@@ -120,17 +113,14 @@ def test_only_filled_rows_are_drawn() -> None:
 
 def test_an_aircraft_flies_one_perturbation_until_its_episode_ends() -> None:
     short = PulseTask(idle_s=0.004, command_s=0.01, rest_s=0.006)
-    learner = learner_of(PLAIN, replace(CONFIG, task=short))
-    rng = np.random.default_rng(4)
-    perturbations = rng.standard_normal((learner._networks.counts[0], 20), np.float32)
-    try:
+    with closing(learner_of(PLAIN, replace(CONFIG, task=short))) as learner:
+        rng = np.random.default_rng(4)
+        learner._perturbations = rng.standard_normal((learner._networks.counts[0], 20), np.float32)
         observation, changed = learner._env.reset(), []
         for _ in range(5):  # rollouts of 5 control steps; an episode has 20
-            before = perturbations.copy()
-            observation, _ = learner._fly(observation, perturbations, rng)
-            changed.append((perturbations != before).mean(axis=0))
-    finally:
-        learner.close()
+            before = learner._perturbations.copy()
+            observation, _ = learner._fly(observation, rng)
+            changed.append((learner._perturbations != before).mean(axis=0))
     shares = np.array(changed)
     assert set(np.unique(shares.round(2))) == {0.0, 1.0}  # all of a perturbation or nothing
     counts = shares.round().sum(axis=0)

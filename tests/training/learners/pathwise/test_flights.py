@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from neuroflight.sim.physics.imu import quantised_rate
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.toolchain.contract import Mix
 from neuroflight.training.learners.pathwise.flights import Flights, Record
+from tests.sampling import sampled
 from tests.training.learners.pathwise.cases import RATE_HZ, WEIGHTS, Case
 from tests.training.learners.pathwise.reference import Network
 
@@ -79,11 +81,11 @@ def assert_close(case: Case, found: Record, twin: Record) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("charge", [np.nan, 0.6])
-def test_flight_is_the_twins_when_outputs_do_not_depend_on_it(name: str, charge: float) -> None:
+@pytest.mark.parametrize("charge", sampled([None, 0.6], 0.6))
+def test_flight_is_the_twins_when_outputs_do_not_depend_on_it(name: str, charge: float | None) -> None:
     # Later the Iris' battery and rotors swing against each other from sample to sample, the twin's likewise.
-    steps = 700 if np.isnan(charge) else 400
-    case = Case(name, "rate_error", steps=steps, noise=False, charge=charge)
+    steps = 700 if charge is None else 400
+    case = Case(name, "rate_error", steps=steps, noise=False, charge=np.nan if charge is None else charge)
     parameters = np.zeros_like(case.parameters())
     motors = case.surroundings.aircraft.motor_count
     parameters[-motors:] = np.random.default_rng(6).uniform(-1.0, 1.0, motors) * (
@@ -93,9 +95,11 @@ def test_flight_is_the_twins_when_outputs_do_not_depend_on_it(name: str, charge:
     assert_close(case, recorded(case), flown_by_twin(case))
 
 
-@pytest.mark.parametrize("mix", Mix)
-@pytest.mark.parametrize("name", NAMES)
-def test_flight_is_the_twins_when_a_policy_flies(name: str, mix: Mix) -> None:
+@pytest.mark.parametrize(
+    "which", sampled(product(NAMES, Mix), ("nf1", Mix.CENTRED), ("hexa", Mix.ATTITUDE_FIRST))
+)
+def test_flight_is_the_twins_when_a_policy_flies(which: tuple[str, Mix]) -> None:
+    name, mix = which
     case = Case(name, mix=mix, steps=700, noise=False, strength=0.05)
     assert_close(case, recorded(case), flown_by_twin(case))
 

@@ -147,27 +147,6 @@ def test_a_run_is_rejected_when_it_has_no_pathwise_gradient(
         make_learner(load_aircraft("nf1"), config(world=world, observation=observation))
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("aircraft", 0),
-        ("aircraft", 4097),
-        ("change_of", "rotors"),
-        ("closed", -1.0),
-        ("outlier", 0.5),
-        ("learning_rate", 0.0),
-        ("square", -1.0),
-        ("output_limit", 0.0),
-        ("change", 0.0),
-        ("gradient_max", float("nan")),
-        ("leg_steps", 0),
-    ],
-)
-def test_an_invalid_hyperparameter_is_rejected_by_name(field: str, value: Any) -> None:
-    with pytest.raises(TrainingError, match=field):
-        config(algorithm=PathwiseConfig(**{field: value}), task=RandomStepsTask())
-
-
 def state(weights: Weights, figures: LossFigures | None = None) -> State:
     start = State.fresh(np.zeros(20, np.float32), weights)
     return replace(start, figures=figures)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from functools import cache
 
@@ -115,18 +116,17 @@ def flown_by_twin(motors: Motors, found: Found) -> Array:
     command = np.interp(target, target_speed(fractions, aircraft.propulsion), fractions)
     at_rest = np.interp(speed[:, 0], target_speed(fractions, aircraft.propulsion), fractions)
     rate_hz = round(motors.samples / motors.dt)
-    twin = Twin(aircraft, episodes, rate_hz=rate_hz, noise=False, rng=np.random.default_rng(0))
     delay = max(1, round(aircraft.propulsion.delay * rate_hz))
     rates = []
-    try:
+    with closing(
+        Twin(aircraft, episodes, rate_hz=rate_hz, noise=False, rng=np.random.default_rng(0))
+    ) as twin:
         for _ in range(rate_hz):
             twin.step(at_rest)
         for sample in range(delay + steps * motors.samples):
             twin.step(command[:, min(sample // motors.samples, steps - 1)])
             if sample >= delay and (sample - delay + 1) % motors.samples == 0:
                 rates.append(twin.rate.copy())
-    finally:
-        twin.close()
     return np.array(rates).swapaxes(0, 1)
 
 

@@ -1,6 +1,7 @@
 """PPO1 learns, and the running moments of its returns are those of the samples."""
 
 import itertools
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -28,14 +29,11 @@ def test_outputs_fall_within_ten_thousand_steps_when_they_cost() -> None:
         reward=TrackingReward(error=0.0, output=1.0),
         algorithm=ppo1,
     )
-    learner = Ppo1Learner(NF1, config, ppo1)
     reports: list[Report] = []
-    try:
+    with closing(Ppo1Learner(NF1, config, ppo1)) as learner:
         learner.learn(0, reports.append)
         outputs = 0.5 + 0.5 * learner.outputs(np.zeros((1, 6), np.float32))
         updates = learner.state()["updates"]
-    finally:
-        learner.close()
     assert learner.steps == reports[-1].steps == 10_240
     # Adam's corrections count on: 10 rollouts, the epochs of each, and the minibatches of its 1024 samples.
     assert updates == 10 * ppo1.epochs * 1024 // ppo1.minibatch

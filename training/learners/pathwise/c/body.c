@@ -2,7 +2,7 @@
  * h' = E (h + m dt/2) + m dt/2, where E undoes the turn of the sample, made at the rate in its middle,
  * r + dt/2 I^-1 (m - r x I r). With t the vector of that turn, E a = a - s t x a + c t x (t x a), where s and c are
  * sin |t| / |t| and (1 - cos |t|) / |t|^2, to the order at which single precision ends. */
-#include "body.h"
+#include "aircraft.h"
 
 #define INLINE static inline __attribute__((always_inline))
 

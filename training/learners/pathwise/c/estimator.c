@@ -1,4 +1,4 @@
-#include "estimator.h"
+#include "policy.h"
 
 static const real nothing[MOTORS_MAX * LANES];
 

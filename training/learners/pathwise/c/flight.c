@@ -2,12 +2,8 @@
  *
  * Three operations are taken as the identity there: the gyro's noise and counts, the steps of DShot, and the clip of the
  * outputs, unless descent would move an output further outside. The battery's voltage is taken as constant over a sample. */
-#include "body.h"
-#include "estimator.h"
-#include "gyro.h"
-#include "loss.h"
-#include "mix.h"
-#include "supply.h"
+#include "aircraft.h"
+#include "policy.h"
 
 static size_t flight_samples(const struct plan *p)
 {

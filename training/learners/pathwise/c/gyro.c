@@ -1,4 +1,4 @@
-#include "gyro.h"
+#include "aircraft.h"
 
 static const real quarter_phase[3] = {R(0), R(0.25), R(0.125)}; /* turns, between the axes of the vibration */
 

@@ -1,4 +1,4 @@
-#include "loss.h"
+#include "policy.h"
 
 #define DEGREES R(57.29577951308232)
 

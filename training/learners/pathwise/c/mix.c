@@ -1,4 +1,4 @@
-#include "mix.h"
+#include "policy.h"
 
 /* What is added to y_i in a lane, and which outputs it depends on. */
 struct lift {

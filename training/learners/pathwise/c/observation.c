@@ -1,4 +1,4 @@
-#include "observation.h"
+#include "policy.h"
 
 /* Rate error, its change and its integral, of setpoint and the rate that is sensed. */
 void observe_error(struct observer *o, const struct controller *c, size_t k, const real *setpoint, struct sensed *s,

@@ -7,8 +7,7 @@
  * The search is an interior-point method: Newton's steps on the sum of errors with logarithms of the limits, whose weight falls.
  * Steps follow from the derivatives of each time step, backwards, as a linear feedback (differential dynamic programming without
  * the second derivatives of the motion). |e| counts as the least t - v log(t^2 - e^2), whose slope is e / t. */
-#include "body.h"
-#include "rotor.h"
+#include "aircraft.h"
 
 #define DEGREES R(57.29577951308232)
 #define AXES 3u

@@ -1,10 +1,8 @@
 /* Flies a block with a PID: rotors, bodies, gyros and mix are those of the policies' flights. The law and its float32 numbers
  * are those of the firmware's pid.c, which has one aircraft in a struct and its number of motors as a constant, where LANES of
  * them lie side by side here. */
-#include "body.h"
-#include "gyro.h"
-#include "mix.h"
-#include "rotor.h"
+#include "aircraft.h"
+#include "policy.h"
 
 struct craft {
 	real rotor_speed[2][MOTORS_MAX * LANES]; /* [rad/s], rows, before and after a sample in turn */

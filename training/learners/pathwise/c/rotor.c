@@ -1,4 +1,4 @@
-#include "rotor.h"
+#include "aircraft.h"
 
 static void polynomial_row(const struct polynomial *p, const real *restrict at, real *restrict value)
 {

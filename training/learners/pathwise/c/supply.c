@@ -1,4 +1,4 @@
-#include "supply.h"
+#include "aircraft.h"
 
 /* The rested pack's voltage over the bench supply's: straight lines between points. */
 static void supply_rest(const struct pack *pack, const real *restrict left, real *restrict volts)

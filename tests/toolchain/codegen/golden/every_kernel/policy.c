@@ -44,136 +44,13 @@ static inline float if_finite(float x, float y)
 /* y = W x + b, 8 outputs a block; w holds a block's biases, then the weights of each input. */
 KERNEL void linear8(const float *w, const float *x, unsigned inputs, float *y, unsigned blocks)
 {
-#ifdef POLICY_CORTEX_M7
-    /* Sums in s0-s7, inputs in s8-s15, 16 weights at a time in s16-s31. */
-    const float *p;
-    unsigned n;
-    __asm__ volatile(
-        "0: vldmia %[w]!, {s0-s7}\n\t"
-        "mov %[p], %[x]\n\t"
-        "lsrs %[n], %[inputs], #3\n\t"
-        "beq 2f\n"
-        "1: vldmia %[p], {s8-s15}\n\t" /* 8 inputs; integers count behind loads, behind arithmetic they would wait */
-        "add %[p], %[p], #32\n\t"
-        "subs %[n], %[n], #1\n\t"
-        "vldmia %[w], {s16-s31}\n\t"
-        "add %[w], %[w], #64\n\t"
-        "vfma.f32 s0, s16, s8; vfma.f32 s1, s17, s8; vfma.f32 s2, s18, s8; vfma.f32 s3, s19, s8\n\t"
-        "vfma.f32 s4, s20, s8; vfma.f32 s5, s21, s8; vfma.f32 s6, s22, s8; vfma.f32 s7, s23, s8\n\t"
-        "vfma.f32 s0, s24, s9; vfma.f32 s1, s25, s9; vfma.f32 s2, s26, s9; vfma.f32 s3, s27, s9\n\t"
-        "vfma.f32 s4, s28, s9; vfma.f32 s5, s29, s9; vfma.f32 s6, s30, s9; vfma.f32 s7, s31, s9\n\t"
-        "vldmia %[w], {s16-s31}\n\t"
-        "add %[w], %[w], #64\n\t"
-        "vfma.f32 s0, s16, s10; vfma.f32 s1, s17, s10; vfma.f32 s2, s18, s10; vfma.f32 s3, s19, s10\n\t"
-        "vfma.f32 s4, s20, s10; vfma.f32 s5, s21, s10; vfma.f32 s6, s22, s10; vfma.f32 s7, s23, s10\n\t"
-        "vfma.f32 s0, s24, s11; vfma.f32 s1, s25, s11; vfma.f32 s2, s26, s11; vfma.f32 s3, s27, s11\n\t"
-        "vfma.f32 s4, s28, s11; vfma.f32 s5, s29, s11; vfma.f32 s6, s30, s11; vfma.f32 s7, s31, s11\n\t"
-        "vldmia %[w], {s16-s31}\n\t"
-        "add %[w], %[w], #64\n\t"
-        "vfma.f32 s0, s16, s12; vfma.f32 s1, s17, s12; vfma.f32 s2, s18, s12; vfma.f32 s3, s19, s12\n\t"
-        "vfma.f32 s4, s20, s12; vfma.f32 s5, s21, s12; vfma.f32 s6, s22, s12; vfma.f32 s7, s23, s12\n\t"
-        "vfma.f32 s0, s24, s13; vfma.f32 s1, s25, s13; vfma.f32 s2, s26, s13; vfma.f32 s3, s27, s13\n\t"
-        "vfma.f32 s4, s28, s13; vfma.f32 s5, s29, s13; vfma.f32 s6, s30, s13; vfma.f32 s7, s31, s13\n\t"
-        "vldmia %[w], {s16-s31}\n\t"
-        "add %[w], %[w], #64\n\t"
-        "vfma.f32 s0, s16, s14; vfma.f32 s1, s17, s14; vfma.f32 s2, s18, s14; vfma.f32 s3, s19, s14\n\t"
-        "vfma.f32 s4, s20, s14; vfma.f32 s5, s21, s14; vfma.f32 s6, s22, s14; vfma.f32 s7, s23, s14\n\t"
-        "vfma.f32 s0, s24, s15; vfma.f32 s1, s25, s15; vfma.f32 s2, s26, s15; vfma.f32 s3, s27, s15\n\t"
-        "vfma.f32 s4, s28, s15; vfma.f32 s5, s29, s15; vfma.f32 s6, s30, s15; vfma.f32 s7, s31, s15\n\t"
-        "bne 1b\n"
-        "2: ubfx %[n], %[inputs], #1, #2\n\t"
-        "cmp %[n], #0\n\t"
-        "beq 4f\n"
-        "3: vldmia %[p]!, {s8-s9}\n\t" /* 2 inputs */
-        "vldmia %[w], {s16-s31}\n\t"
-        "add %[w], %[w], #64\n\t"
-        "subs %[n], %[n], #1\n\t"
-        "vfma.f32 s0, s16, s8; vfma.f32 s1, s17, s8; vfma.f32 s2, s18, s8; vfma.f32 s3, s19, s8\n\t"
-        "vfma.f32 s4, s20, s8; vfma.f32 s5, s21, s8; vfma.f32 s6, s22, s8; vfma.f32 s7, s23, s8\n\t"
-        "vfma.f32 s0, s24, s9; vfma.f32 s1, s25, s9; vfma.f32 s2, s26, s9; vfma.f32 s3, s27, s9\n\t"
-        "vfma.f32 s4, s28, s9; vfma.f32 s5, s29, s9; vfma.f32 s6, s30, s9; vfma.f32 s7, s31, s9\n\t"
-        "bne 3b\n"
-        "4: ands %[n], %[inputs], #1\n\t"
-        "beq 5f\n\t"
-        "vldmia %[p]!, {s8}\n\t" /* the last of an odd number */
-        "vldmia %[w]!, {s16-s23}\n\t"
-        "vfma.f32 s0, s16, s8; vfma.f32 s1, s17, s8; vfma.f32 s2, s18, s8; vfma.f32 s3, s19, s8\n\t"
-        "vfma.f32 s4, s20, s8; vfma.f32 s5, s21, s8; vfma.f32 s6, s22, s8; vfma.f32 s7, s23, s8\n\t"
-        "5: vstmia %[y]!, {s0-s7}\n\t"
-        "subs %[blocks], %[blocks], #1\n\t"
-        "bne 0b"
-        : [w] "+r"(w), [y] "+r"(y), [blocks] "+r"(blocks), [p] "=&r"(p), [n] "=&r"(n)
-        : [x] "r"(x), [inputs] "r"(inputs)
-        : "cc", "memory", "s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7", "s8", "s9", "s10", "s11", "s12", "s13", "s14", "s15",
-          "s16", "s17", "s18", "s19", "s20", "s21", "s22", "s23", "s24", "s25", "s26", "s27", "s28", "s29", "s30", "s31");
-#else
-    for (; blocks; --blocks, y += 8) {
-        float s[8];
-        for (unsigned j = 0; j < 8; ++j)
-            s[j] = *w++;
-        for (unsigned i = 0; i < inputs; ++i)
-            for (unsigned j = 0; j < 8; ++j)
-                s[j] = __builtin_fmaf(*w++, x[i], s[j]);
-        for (unsigned j = 0; j < 8; ++j)
-            y[j] = s[j];
-    }
-#endif
+    74 lines, 78ec858c7e19e45ae908d754f51c367a6d5d22447e621d63e8153237f9679011
 }
 
 /* y = W x + b, 4 outputs a block; w holds a block's biases, then the weights of each input. */
 KERNEL void linear4(const float *w, const float *x, unsigned inputs, float *y, unsigned blocks)
 {
-#ifdef POLICY_CORTEX_M7
-    /* Sums in s0-s3, inputs in s8-s15, 16 weights at a time in s16-s31. */
-    const float *p;
-    unsigned n;
-    __asm__ volatile(
-        "0: vldmia %[w]!, {s0-s3}\n\t"
-        "mov %[p], %[x]\n\t"
-        "lsrs %[n], %[inputs], #3\n\t"
-        "beq 2f\n"
-        "1: vldmia %[p], {s8-s15}\n\t" /* 8 inputs; integers count behind loads, behind arithmetic they would wait */
-        "add %[p], %[p], #32\n\t"
-        "subs %[n], %[n], #1\n\t"
-        "vldmia %[w], {s16-s31}\n\t"
-        "add %[w], %[w], #64\n\t"
-        "vfma.f32 s0, s16, s8; vfma.f32 s1, s17, s8; vfma.f32 s2, s18, s8; vfma.f32 s3, s19, s8\n\t"
-        "vfma.f32 s0, s20, s9; vfma.f32 s1, s21, s9; vfma.f32 s2, s22, s9; vfma.f32 s3, s23, s9\n\t"
-        "vfma.f32 s0, s24, s10; vfma.f32 s1, s25, s10; vfma.f32 s2, s26, s10; vfma.f32 s3, s27, s10\n\t"
-        "vfma.f32 s0, s28, s11; vfma.f32 s1, s29, s11; vfma.f32 s2, s30, s11; vfma.f32 s3, s31, s11\n\t"
-        "vldmia %[w], {s16-s31}\n\t"
-        "add %[w], %[w], #64\n\t"
-        "vfma.f32 s0, s16, s12; vfma.f32 s1, s17, s12; vfma.f32 s2, s18, s12; vfma.f32 s3, s19, s12\n\t"
-        "vfma.f32 s0, s20, s13; vfma.f32 s1, s21, s13; vfma.f32 s2, s22, s13; vfma.f32 s3, s23, s13\n\t"
-        "vfma.f32 s0, s24, s14; vfma.f32 s1, s25, s14; vfma.f32 s2, s26, s14; vfma.f32 s3, s27, s14\n\t"
-        "vfma.f32 s0, s28, s15; vfma.f32 s1, s29, s15; vfma.f32 s2, s30, s15; vfma.f32 s3, s31, s15\n\t"
-        "bne 1b\n"
-        "2: ands %[n], %[inputs], #7\n\t"
-        "beq 4f\n"
-        "3: vldmia %[p]!, {s8}\n\t" /* one input */
-        "vldmia %[w]!, {s16-s19}\n\t"
-        "vfma.f32 s0, s16, s8; vfma.f32 s1, s17, s8; vfma.f32 s2, s18, s8; vfma.f32 s3, s19, s8\n\t"
-        "subs %[n], %[n], #1\n\t"
-        "bne 3b\n"
-        "4: vstmia %[y]!, {s0-s3}\n\t"
-        "subs %[blocks], %[blocks], #1\n\t"
-        "bne 0b"
-        : [w] "+r"(w), [y] "+r"(y), [blocks] "+r"(blocks), [p] "=&r"(p), [n] "=&r"(n)
-        : [x] "r"(x), [inputs] "r"(inputs)
-        : "cc", "memory", "s0", "s1", "s2", "s3", "s8", "s9", "s10", "s11", "s12", "s13", "s14", "s15",
-          "s16", "s17", "s18", "s19", "s20", "s21", "s22", "s23", "s24", "s25", "s26", "s27", "s28", "s29", "s30", "s31");
-#else
-    for (; blocks; --blocks, y += 4) {
-        float s[4];
-        for (unsigned j = 0; j < 4; ++j)
-            s[j] = *w++;
-        for (unsigned i = 0; i < inputs; ++i)
-            for (unsigned j = 0; j < 4; ++j)
-                s[j] = __builtin_fmaf(*w++, x[i], s[j]);
-        for (unsigned j = 0; j < 4; ++j)
-            y[j] = s[j];
-    }
-#endif
+    51 lines, 23b3842c14525d30392de77ad0e4beb1175127006e63ce9b22bc904f8277b1ec
 }
 
 /* y = x G(|x|), x first bounded: t = rows of 4 coefficients of G. Adding the magic number rounds |x| to the middle of a
@@ -181,280 +58,81 @@ KERNEL void linear4(const float *w, const float *x, unsigned inputs, float *y, u
  * table; 0 x, added to the distance from the row's middle, makes the result NaN. */
 KERNEL void look_up(const float *t, const float *x, float *y, unsigned count, float low, float high, float magic)
 {
-#ifdef POLICY_CORTEX_M7
-    const float limits[4] = { low, high, magic, 0.0f };
-    unsigned base, k0, k1, k2, k3;
-    __asm__ volatile(
-        "ldr %[base], [%[limits], #8]\n\t"
-        "vldmia %[limits], {s28-s31}\n\t"
-        "sub %[base], %[t], %[base], lsl #4\n" /* row k is at base + 16 (bits of the sum) */
-        "1: vldmia %[x]!, {s0-s3}\n\t"
-        "subs %[count], %[count], #4\n\t"
-        "vminnm.f32 s8, s0, s29; vminnm.f32 s9, s1, s29; vminnm.f32 s10, s2, s29; vminnm.f32 s11, s3, s29\n\t"
-        "vmaxnm.f32 s8, s8, s28; vmaxnm.f32 s9, s9, s28; vmaxnm.f32 s10, s10, s28; vmaxnm.f32 s11, s11, s28\n\t"
-        "vabs.f32 s4, s8; vabs.f32 s5, s9; vabs.f32 s6, s10; vabs.f32 s7, s11\n\t"
-        "vadd.f32 s12, s4, s30; vadd.f32 s13, s5, s30; vadd.f32 s14, s6, s30; vadd.f32 s15, s7, s30\n\t"
-        "vmov %[k0], %[k1], s12, s13\n\t"
-        "vmov %[k2], %[k3], s14, s15\n\t"
-        "add %[k0], %[base], %[k0], lsl #4; add %[k1], %[base], %[k1], lsl #4; add %[k2], %[base], %[k2], lsl #4; add %[k3], %[base], %[k3], lsl #4\n\t"
-        "vsub.f32 s12, s12, s30; vsub.f32 s13, s13, s30; vsub.f32 s14, s14, s30; vsub.f32 s15, s15, s30\n\t"
-        "vsub.f32 s4, s4, s12; vsub.f32 s5, s5, s13; vsub.f32 s6, s6, s14; vsub.f32 s7, s7, s15\n\t"
-        "vldmia %[k0], {s12-s15}; vldmia %[k1], {s16-s19}; vldmia %[k2], {s20-s23}; vldmia %[k3], {s24-s27}\n\t"
-        "vfma.f32 s4, s0, s31; vfma.f32 s5, s1, s31; vfma.f32 s6, s2, s31; vfma.f32 s7, s3, s31\n\t" /* + 0 x */
-        "vfma.f32 s14, s15, s4; vfma.f32 s18, s19, s5; vfma.f32 s22, s23, s6; vfma.f32 s26, s27, s7\n\t"
-        "vfma.f32 s13, s14, s4; vfma.f32 s17, s18, s5; vfma.f32 s21, s22, s6; vfma.f32 s25, s26, s7\n\t"
-        "vfma.f32 s12, s13, s4; vfma.f32 s16, s17, s5; vfma.f32 s20, s21, s6; vfma.f32 s24, s25, s7\n\t"
-        "vmul.f32 s0, s8, s12; vmul.f32 s1, s9, s16; vmul.f32 s2, s10, s20; vmul.f32 s3, s11, s24\n\t"
-        "vstmia %[y]!, {s0-s3}\n\t"
-        "bne 1b"
-        : [x] "+r"(x), [y] "+r"(y), [count] "+r"(count), [base] "=&r"(base),
-          [k0] "=&r"(k0), [k1] "=&r"(k1), [k2] "=&r"(k2), [k3] "=&r"(k3)
-        : [t] "r"(t), [limits] "r"(limits)
-        : "cc", "memory", "s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7", "s8", "s9", "s10", "s11", "s12", "s13", "s14", "s15",
-          "s16", "s17", "s18", "s19", "s20", "s21", "s22", "s23", "s24", "s25", "s26", "s27", "s28", "s29", "s30", "s31");
-#else
-    for (unsigned i = 0; i < count; ++i) {
-        const float v = bound_below(bound_above(x[i], high), low);
-        const float a = __builtin_fabsf(v), sum = a + magic, r = __builtin_fmaf(x[i], 0.0f, a - (sum - magic));
-        unsigned bits, first;
-        __builtin_memcpy(&bits, &sum, sizeof bits);
-        __builtin_memcpy(&first, &magic, sizeof first);
-        const float *const c = t + 4 * (bits - first);
-        y[i] = v * __builtin_fmaf(__builtin_fmaf(__builtin_fmaf(c[3], r, c[2]), r, c[1]), r, c[0]);
-    }
-#endif
+    42 lines, 3a7a2e4aaae8d5cbc8416880989cecc316d6e3da4199569a84881915f14b5581
 }
 
 /* y = G(|x|), as look_up does; an even function. */
 KERNEL void look_up_even(const float *t, const float *x, float *y, unsigned count, float low, float high, float magic)
 {
-#ifdef POLICY_CORTEX_M7
-    const float limits[4] = { low, high, magic, 0.0f };
-    unsigned base, k0, k1, k2, k3;
-    __asm__ volatile(
-        "ldr %[base], [%[limits], #8]\n\t"
-        "vldmia %[limits], {s28-s31}\n\t"
-        "sub %[base], %[t], %[base], lsl #4\n" /* row k is at base + 16 (bits of the sum) */
-        "1: vldmia %[x]!, {s0-s3}\n\t"
-        "subs %[count], %[count], #4\n\t"
-        "vminnm.f32 s8, s0, s29; vminnm.f32 s9, s1, s29; vminnm.f32 s10, s2, s29; vminnm.f32 s11, s3, s29\n\t"
-        "vmaxnm.f32 s8, s8, s28; vmaxnm.f32 s9, s9, s28; vmaxnm.f32 s10, s10, s28; vmaxnm.f32 s11, s11, s28\n\t"
-        "vabs.f32 s4, s8; vabs.f32 s5, s9; vabs.f32 s6, s10; vabs.f32 s7, s11\n\t"
-        "vadd.f32 s12, s4, s30; vadd.f32 s13, s5, s30; vadd.f32 s14, s6, s30; vadd.f32 s15, s7, s30\n\t"
-        "vmov %[k0], %[k1], s12, s13\n\t"
-        "vmov %[k2], %[k3], s14, s15\n\t"
-        "add %[k0], %[base], %[k0], lsl #4; add %[k1], %[base], %[k1], lsl #4; add %[k2], %[base], %[k2], lsl #4; add %[k3], %[base], %[k3], lsl #4\n\t"
-        "vsub.f32 s12, s12, s30; vsub.f32 s13, s13, s30; vsub.f32 s14, s14, s30; vsub.f32 s15, s15, s30\n\t"
-        "vsub.f32 s4, s4, s12; vsub.f32 s5, s5, s13; vsub.f32 s6, s6, s14; vsub.f32 s7, s7, s15\n\t"
-        "vldmia %[k0], {s12-s15}; vldmia %[k1], {s16-s19}; vldmia %[k2], {s20-s23}; vldmia %[k3], {s24-s27}\n\t"
-        "vfma.f32 s4, s0, s31; vfma.f32 s5, s1, s31; vfma.f32 s6, s2, s31; vfma.f32 s7, s3, s31\n\t" /* + 0 x */
-        "vfma.f32 s14, s15, s4; vfma.f32 s18, s19, s5; vfma.f32 s22, s23, s6; vfma.f32 s26, s27, s7\n\t"
-        "vfma.f32 s13, s14, s4; vfma.f32 s17, s18, s5; vfma.f32 s21, s22, s6; vfma.f32 s25, s26, s7\n\t"
-        "vfma.f32 s12, s13, s4; vfma.f32 s16, s17, s5; vfma.f32 s20, s21, s6; vfma.f32 s24, s25, s7\n\t"
-        "vmov.f32 s0, s12; vmov.f32 s1, s16; vmov.f32 s2, s20; vmov.f32 s3, s24\n\t"
-        "vstmia %[y]!, {s0-s3}\n\t"
-        "bne 1b"
-        : [x] "+r"(x), [y] "+r"(y), [count] "+r"(count), [base] "=&r"(base),
-          [k0] "=&r"(k0), [k1] "=&r"(k1), [k2] "=&r"(k2), [k3] "=&r"(k3)
-        : [t] "r"(t), [limits] "r"(limits)
-        : "cc", "memory", "s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7", "s8", "s9", "s10", "s11", "s12", "s13", "s14", "s15",
-          "s16", "s17", "s18", "s19", "s20", "s21", "s22", "s23", "s24", "s25", "s26", "s27", "s28", "s29", "s30", "s31");
-#else
-    for (unsigned i = 0; i < count; ++i) {
-        const float v = bound_below(bound_above(x[i], high), low);
-        const float a = __builtin_fabsf(v), sum = a + magic, r = __builtin_fmaf(x[i], 0.0f, a - (sum - magic));
-        unsigned bits, first;
-        __builtin_memcpy(&bits, &sum, sizeof bits);
-        __builtin_memcpy(&first, &magic, sizeof first);
-        const float *const c = t + 4 * (bits - first);
-        y[i] = __builtin_fmaf(__builtin_fmaf(__builtin_fmaf(c[3], r, c[2]), r, c[1]), r, c[0]);
-    }
-#endif
+    42 lines, f3a88f8c2a39e4fc8804c6bc05e22536302d91f7ca9af24e3b1fe837af1a5f9b
 }
 
 KERNEL void affine(const float *w, const float *x, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = __builtin_fmaf(x[i], w[i], w[i + count]);
-        const float y1 = __builtin_fmaf(x[i + 1], w[i + 1], w[i + 1 + count]);
-        const float y2 = __builtin_fmaf(x[i + 2], w[i + 2], w[i + 2 + count]);
-        const float y3 = __builtin_fmaf(x[i + 3], w[i + 3], w[i + 3 + count]);
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 7d22a20e27535f6815e888c046076377d96f1092c23c8c4f216f07cf4856dd61
 }
 
 KERNEL void at_least(const float *x, float *y, unsigned count, float low)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = if_finite(x[i], bound_below(x[i], low));
-        const float y1 = if_finite(x[i + 1], bound_below(x[i + 1], low));
-        const float y2 = if_finite(x[i + 2], bound_below(x[i + 2], low));
-        const float y3 = if_finite(x[i + 3], bound_below(x[i + 3], low));
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 167592a3961a8b35d6208dcf75d837a68256f3570687bed180e2963f65b605a2
 }
 
 KERNEL void at_most(const float *x, float *y, unsigned count, float high)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = if_finite(x[i], bound_above(x[i], high));
-        const float y1 = if_finite(x[i + 1], bound_above(x[i + 1], high));
-        const float y2 = if_finite(x[i + 2], bound_above(x[i + 2], high));
-        const float y3 = if_finite(x[i + 3], bound_above(x[i + 3], high));
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 22e7529725d089034b934940baf97547d76295ddede38c66fbde603f651d243b
 }
 
 KERNEL void clip(const float *x, float *y, unsigned count, float low, float high)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = if_finite(x[i], bound_above(bound_below(x[i], low), high));
-        const float y1 = if_finite(x[i + 1], bound_above(bound_below(x[i + 1], low), high));
-        const float y2 = if_finite(x[i + 2], bound_above(bound_below(x[i + 2], low), high));
-        const float y3 = if_finite(x[i + 3], bound_above(bound_below(x[i + 3], low), high));
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 6fdc99b3b4a141605e75d880bf947c7f04a91e29fe13d42923e7f94b8bc0ec5d
 }
 
 KERNEL void leaky(const float *x, float *y, unsigned count, float slope)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = if_finite(x[i], __builtin_fmaf(bound_above(x[i], 0.0f), slope, bound_below(x[i], 0.0f)));
-        const float y1 = if_finite(x[i + 1], __builtin_fmaf(bound_above(x[i + 1], 0.0f), slope, bound_below(x[i + 1], 0.0f)));
-        const float y2 = if_finite(x[i + 2], __builtin_fmaf(bound_above(x[i + 2], 0.0f), slope, bound_below(x[i + 2], 0.0f)));
-        const float y3 = if_finite(x[i + 3], __builtin_fmaf(bound_above(x[i + 3], 0.0f), slope, bound_below(x[i + 3], 0.0f)));
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 362ab109abbbda8f931535941be7a4306779d14bd2517d0006852c130c9f69f7
 }
 
 KERNEL void softsign(const float *x, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = x[i] / (1.0f + __builtin_fabsf(x[i]));
-        const float y1 = x[i + 1] / (1.0f + __builtin_fabsf(x[i + 1]));
-        const float y2 = x[i + 2] / (1.0f + __builtin_fabsf(x[i + 2]));
-        const float y3 = x[i + 3] / (1.0f + __builtin_fabsf(x[i + 3]));
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 6f81ab21e8a04c5338fd089c7ce4dd58a6597ce85b2da749d7fa0e0df1e923bd
 }
 
 /* y from x and e = exp(min(x, 0)) - 1. */
 KERNEL void elu(const float *x, const float *e, float *y, unsigned count, float alpha)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = __builtin_fmaf(e[i], alpha, bound_below(x[i], 0.0f));
-        const float y1 = __builtin_fmaf(e[i + 1], alpha, bound_below(x[i + 1], 0.0f));
-        const float y2 = __builtin_fmaf(e[i + 2], alpha, bound_below(x[i + 2], 0.0f));
-        const float y3 = __builtin_fmaf(e[i + 3], alpha, bound_below(x[i + 3], 0.0f));
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, c8bc0775cf76d746bacbe545a710a8d92913f0074bb5d346b503490cead4b7c3
 }
 
 KERNEL void half(const float *x, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = x[i] * 0.5f;
-        const float y1 = x[i + 1] * 0.5f;
-        const float y2 = x[i + 2] * 0.5f;
-        const float y3 = x[i + 3] * 0.5f;
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 07b3c4f3eab235d71cbb8c03dcd7b420cf3625ecd212e83d31301308d5a57f24
 }
 
 KERNEL void half_sum(const float *a, const float *b, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = (a[i] + b[i]) * 0.5f;
-        const float y1 = (a[i + 1] + b[i + 1]) * 0.5f;
-        const float y2 = (a[i + 2] + b[i + 2]) * 0.5f;
-        const float y3 = (a[i + 3] + b[i + 3]) * 0.5f;
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 07accb9099440f13b961bfc705ef5c10681e7633455c7fd39fbd778f5a27cec0
 }
 
 /* y = 1 / (1 + exp(-x)) from t = tanh(x / 2). */
 KERNEL void sigmoid(const float *t, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = __builtin_fmaf(t[i], 0.5f, 0.5f);
-        const float y1 = __builtin_fmaf(t[i + 1], 0.5f, 0.5f);
-        const float y2 = __builtin_fmaf(t[i + 2], 0.5f, 0.5f);
-        const float y3 = __builtin_fmaf(t[i + 3], 0.5f, 0.5f);
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, a8e6ecf1eb4ea60de15d39a3a2614c4f80da75d6d87e2597ea435e6f798e0d52
 }
 
 /* y = x / (1 + exp(-x)) from x and t = tanh(x / 2). */
 KERNEL void silu(const float *x, const float *t, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = x[i] * __builtin_fmaf(t[i], 0.5f, 0.5f);
-        const float y1 = x[i + 1] * __builtin_fmaf(t[i + 1], 0.5f, 0.5f);
-        const float y2 = x[i + 2] * __builtin_fmaf(t[i + 2], 0.5f, 0.5f);
-        const float y3 = x[i + 3] * __builtin_fmaf(t[i + 3], 0.5f, 0.5f);
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 6ec10361ff61b957cd712fd574e456018f415e79ad99cd60cbc589c974ffd91c
 }
 
 KERNEL void add(const float *a, const float *b, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = a[i] + b[i];
-        const float y1 = a[i + 1] + b[i + 1];
-        const float y2 = a[i + 2] + b[i + 2];
-        const float y3 = a[i + 3] + b[i + 3];
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, d1e303604cd6e8f1dd30a2d134406cb82c2682c15a4f0a6912ebb1c6a4ddb5c7
 }
 
 KERNEL void multiply(const float *a, const float *b, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = a[i] * b[i];
-        const float y1 = a[i + 1] * b[i + 1];
-        const float y2 = a[i + 2] * b[i + 2];
-        const float y3 = a[i + 3] * b[i + 3];
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 418286cba3ae0f88bf88fc5c77b9b46674030d343294012f312312fb1b0a56b2
 }
 
 static inline float chosen(float c, float a, float b)
@@ -467,161 +145,54 @@ static inline float chosen(float c, float a, float b)
 
 KERNEL void select(const float *c, const float *a, const float *b, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = chosen(c[i], a[i], b[i]);
-        const float y1 = chosen(c[i + 1], a[i + 1], b[i + 1]);
-        const float y2 = chosen(c[i + 2], a[i + 2], b[i + 2]);
-        const float y3 = chosen(c[i + 3], a[i + 3], b[i + 3]);
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 142eaddba475d9624c7eac6699cf44f698d46deb9e77f5f24c64c80f1fd51a61
 }
 
 KERNEL void multiply_add(const float *a, const float *b, const float *c, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = __builtin_fmaf(a[i], b[i], c[i]);
-        const float y1 = __builtin_fmaf(a[i + 1], b[i + 1], c[i + 1]);
-        const float y2 = __builtin_fmaf(a[i + 2], b[i + 2], c[i + 2]);
-        const float y3 = __builtin_fmaf(a[i + 3], b[i + 3], c[i + 3]);
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 8dcd9aa0f643f79edc3622a5695cf4bfb80fed6d197c1831f45d77633719d5ad
 }
 
 /* A gated unit's state: z of h, 1 - z of n. */
 KERNEL void blend(const float *z, const float *h, const float *n, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = __builtin_fmaf(z[i], h[i] - n[i], n[i]);
-        const float y1 = __builtin_fmaf(z[i + 1], h[i + 1] - n[i + 1], n[i + 1]);
-        const float y2 = __builtin_fmaf(z[i + 2], h[i + 2] - n[i + 2], n[i + 2]);
-        const float y3 = __builtin_fmaf(z[i + 3], h[i + 3] - n[i + 3], n[i + 3]);
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, a61d7b370beade9b71e1a8691b291a210f9b96f142227a0c5dfb23ec92a8e153
 }
 
 /* A memory's state: f of c, k of g. */
 KERNEL void cell(const float *f, const float *c, const float *k, const float *g, float *y, unsigned count)
 {
-    for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = __builtin_fmaf(f[i], c[i], k[i] * g[i]);
-        const float y1 = __builtin_fmaf(f[i + 1], c[i + 1], k[i + 1] * g[i + 1]);
-        const float y2 = __builtin_fmaf(f[i + 2], c[i + 2], k[i + 2] * g[i + 2]);
-        const float y3 = __builtin_fmaf(f[i + 3], c[i + 3], k[i + 3] * g[i + 3]);
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    10 lines, 26e6669325a30d6ae7a899a9df1eb4417cfd2debc41cb7d28394af85af067595
 }
 
 /* y = (x - mean) / sqrt(variance + epsilon) scale + offset. Sums run in 4 lanes; what is left over of a width that
  * 4 does not divide goes to the first. */
 KERNEL void layer_norm(const float *w, const float *x, float *y, unsigned count, float share, float epsilon)
 {
-    const unsigned lanes = count & ~3u, room = (count + 3) & ~3u;
-    float s0 = 0.0f, s1 = 0.0f, s2 = 0.0f, s3 = 0.0f;
-    for (unsigned i = 0; i < lanes; i += 4) {
-        s0 += x[i];
-        s1 += x[i + 1];
-        s2 += x[i + 2];
-        s3 += x[i + 3];
-    }
-    for (unsigned i = lanes; i < count; ++i)
-        s0 += x[i];
-    const float mean = ((s0 + s1) + (s2 + s3)) * share;
-    s0 = s1 = s2 = s3 = 0.0f;
-    for (unsigned i = 0; i < lanes; i += 4) {
-        const float d0 = x[i] - mean, d1 = x[i + 1] - mean, d2 = x[i + 2] - mean, d3 = x[i + 3] - mean;
-        s0 = __builtin_fmaf(d0, d0, s0);
-        s1 = __builtin_fmaf(d1, d1, s1);
-        s2 = __builtin_fmaf(d2, d2, s2);
-        s3 = __builtin_fmaf(d3, d3, s3);
-    }
-    for (unsigned i = lanes; i < count; ++i)
-        s0 = __builtin_fmaf(x[i] - mean, x[i] - mean, s0);
-    const float inverse = 1.0f / __builtin_sqrtf(((s0 + s1) + (s2 + s3)) * share + epsilon);
-    for (unsigned i = 0; i < room; i += 4) {
-        const float y0 = __builtin_fmaf((x[i] - mean) * inverse, w[i], w[i + room]);
-        const float y1 = __builtin_fmaf((x[i + 1] - mean) * inverse, w[i + 1], w[i + 1 + room]);
-        const float y2 = __builtin_fmaf((x[i + 2] - mean) * inverse, w[i + 2], w[i + 2 + room]);
-        const float y3 = __builtin_fmaf((x[i + 3] - mean) * inverse, w[i + 3], w[i + 3 + room]);
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    32 lines, ecda18c5eef1f0e5a20f152c69e704c7ca7047fc4caa6f37cb3eeb5aa7a0350d
 }
 
 /* y = x / sqrt(mean(x^2) + epsilon) scale + offset, the sum in lanes as of layer_norm. */
 KERNEL void rms_norm(const float *w, const float *x, float *y, unsigned count, float share, float epsilon)
 {
-    const unsigned room = (count + 3) & ~3u;
-    const unsigned lanes = count & ~3u;
-    float s0 = 0.0f, s1 = 0.0f, s2 = 0.0f, s3 = 0.0f;
-    for (unsigned i = 0; i < lanes; i += 4) {
-        s0 = __builtin_fmaf(x[i], x[i], s0);
-        s1 = __builtin_fmaf(x[i + 1], x[i + 1], s1);
-        s2 = __builtin_fmaf(x[i + 2], x[i + 2], s2);
-        s3 = __builtin_fmaf(x[i + 3], x[i + 3], s3);
-    }
-    for (unsigned i = lanes; i < count; ++i)
-        s0 = __builtin_fmaf(x[i], x[i], s0);
-    const float square = (s0 + s1) + (s2 + s3);
-    const float inverse = 1.0f / __builtin_sqrtf(square * share + epsilon);
-    for (unsigned i = 0; i < room; i += 4) {
-        const float y0 = __builtin_fmaf(x[i] * inverse, w[i], w[i + room]);
-        const float y1 = __builtin_fmaf(x[i + 1] * inverse, w[i + 1], w[i + 1 + room]);
-        const float y2 = __builtin_fmaf(x[i + 2] * inverse, w[i + 2], w[i + 2 + room]);
-        const float y3 = __builtin_fmaf(x[i + 3] * inverse, w[i + 3], w[i + 3 + room]);
-        y[i] = y0;
-        y[i + 1] = y1;
-        y[i + 2] = y2;
-        y[i + 3] = y3;
-    }
+    23 lines, 9be45f79fee76e5fe895e87fe9002d2f8d3665f6ae08218f737227abaec508ec
 }
 
 /* y = x - the largest x, over all values: at most 0, NaN where x is. */
 KERNEL void below_largest(const float *x, float *y, unsigned count)
 {
-    float largest = -0x1.fffffep127f;
-    for (unsigned i = 0; i < count; ++i)
-        largest = bound_below(x[i], largest);
-    for (unsigned i = 0; i < count; ++i)
-        y[i] = x[i] - largest;
+    5 lines, 1569b6e6f50f9d4d9334b211ddc7e0a0f35f4df60762de2a39bafb9c738a887e
 }
 
 /* Each e^x of their sum, from e = e^x - 1. */
 KERNEL void shares(const float *e, float *y, unsigned count)
 {
-    const unsigned lanes = count & ~3u;
-    float s0 = 0.0f, s1 = 0.0f, s2 = 0.0f, s3 = 0.0f;
-    for (unsigned i = 0; i < lanes; i += 4) {
-        s0 = s0 + (e[i] + 1.0f);
-        s1 = s1 + (e[i + 1] + 1.0f);
-        s2 = s2 + (e[i + 2] + 1.0f);
-        s3 = s3 + (e[i + 3] + 1.0f);
-    }
-    for (unsigned i = lanes; i < count; ++i)
-        s0 = s0 + (e[i] + 1.0f);
-    const float sum = (s0 + s1) + (s2 + s3);
-    const float inverse = 1.0f / sum;
-    for (unsigned i = 0; i < count; ++i)
-        y[i] = (e[i] + 1.0f) * inverse;
+    14 lines, 50aba0ca5ef220153cebd3d3d65c6f9ba6976c902a7b344d6f6774d4a74a144c
 }
 
 KERNEL void copy(const float *x, float *y, unsigned count, int step)
 {
-    for (unsigned i = 0; i < count; ++i, x += step)
-        y[i] = *x;
+    2 lines, 2b792ad9e05cc87014d5ff7cbc3e815f49bf83d1449d5455a41d388e2fb6aa70
 }
 
 static void clear(float *y, unsigned count)
@@ -780,424 +351,13 @@ _Alignas(8) const struct policy_blob policy_blob = {
         .build = { 0, 0, 0, 0, 0, 0, 0, 0 },
     },
     .weights = {
-        0x1p+0f, 0x0p+0f, -0x1.556908p-2f, 0x1.a95dbp-8f, 0x1.ff559ap-1f, -0x1.5444eap-5f,
-        -0x1.521062p-2f, 0x1.0eb324p-5f, 0x1.fd5992p-1f, -0x1.511b5p-4f, -0x1.4899bep-2f, 0x1.085fb2p-4f,
-        0x1.fa154cp-1f, -0x1.f1e6c8p-4f, -0x1.397194p-2f, 0x1.7d4ad8p-4f, 0x1.f597eap-1f, -0x1.44e49ap-3f,
-        -0x1.25222p-2f, 0x1.e15818p-4f, 0x1.eff5aap-1f, -0x1.8b35d2p-3f, -0x1.0ca656p-2f, 0x1.188fbp-3f,
-        0x1.e946fep-1f, -0x1.caf816p-3f, -0x1.e1dc24p-3f, 0x1.355f3p-3f, 0x1.e1a792p-1f, -0x1.01bf48p-2f,
-        -0x1.a60cacp-3f, 0x1.46eb78p-3f, 0x1.d9353ep-1f, -0x1.1a2fdcp-2f, -0x1.67e93cp-3f, 0x1.4db3a8p-3f,
-        0x1.d00efep-1f, -0x1.2eb93cp-2f, -0x1.295ef8p-3f, 0x1.4ac0cap-3f, 0x1.c653fep-1f, -0x1.3f63eep-2f,
-        -0x1.d8b422p-4f, 0x1.3f80aap-3f, 0x1.bc22bap-1f, -0x1.4c5166p-2f, -0x1.64063cp-4f, 0x1.2d967cp-3f,
-        0x1.b19854p-1f, -0x1.55b706p-2f, -0x1.ee841cp-5f, 0x1.16b54ap-3f, 0x1.a6cffep-1f, -0x1.5bd914p-2f,
-        -0x1.267b72p-5f, 0x1.f8ff7cp-4f, 0x1.9be2a6p-1f, -0x1.5f05f8p-2f, -0x1.d0551p-7f, 0x1.c0e12ap-4f,
-        0x1.90e6a4p-1f, -0x1.5f919p-2f, 0x1.4b416ep-8f, 0x1.8797eap-4f, 0x1.85efacp-1f, -0x1.5dd19ap-2f,
-        0x1.637618p-6f, 0x1.4f316p-4f, 0x1.7b0ec8p-1f, -0x1.5a1a88p-2f, 0x1.251d54p-5f, 0x1.193f8cp-4f,
-        0x1.705268p-1f, -0x1.54bd28p-2f, 0x1.85a4d6p-5f, 0x1.cdc1f2p-5f, 0x1.65c69p-1f, -0x1.4e05p-2f,
-        0x1.d3741ap-5f, 0x1.719d04p-5f, 0x1.5b74fcp-1f, -0x1.46371ep-2f, 0x1.086a5ep-4f, 0x1.1ed7fp-5f,
-        0x1.51655ep-1f, -0x1.3d9198p-2f, 0x1.1f8bc6p-4f, 0x1.ab659ap-6f, 0x1.479d9p-1f, -0x1.344b46p-2f,
-        0x1.309166p-4f, 0x1.2c0de4p-6f, 0x1.3e21d6p-1f, -0x1.2a93f4p-2f, 0x1.3c10cep-4f, 0x1.7d9088p-7f,
-        0x1.34f51p-1f, -0x1.2094a6p-2f, 0x1.42c6fp-4f, 0x1.8949ecp-8f, 0x1.2c18eep-1f, -0x1.16701p-2f,
-        0x1.45a4fcp-4f, 0x1.530854p-10f, 0x1.238e24p-1f, -0x1.0c432ep-2f, 0x1.451916p-4f, -0x1.51a322p-9f,
-        0x1.1b5492p-1f, -0x1.0225d6p-2f, 0x1.41babap-4f, -0x1.75dadep-8f, 0x1.136b6ap-1f, -0x1.f0567cp-3f,
-        0x1.3c7202p-4f, -0x1.0c4892p-7f, 0x1.0bd158p-1f, -0x1.dcc576p-3f, 0x1.355c24p-4f, -0x1.4b66e8p-7f,
-        0x1.048498p-1f, -0x1.c9b04ap-3f, 0x1.2d36f8p-4f, -0x1.7af918p-7f, 0x1.fb063p-2f, -0x1.b728ecp-3f,
-        0x1.23c294p-4f, -0x1.9d6d18p-7f, 0x1.ed9506p-2f, -0x1.a53c56p-3f, 0x1.19babp-4f, -0x1.b4ec46p-7f,
-        0x1.e0b0b6p-2f, -0x1.93f358p-3f, 0x1.0f5aaap-4f, -0x1.c35ccp-7f, 0x1.d4540ep-2f, -0x1.835374p-3f,
-        0x1.048f6p-4f, -0x1.ca64fep-7f, 0x1.c879b6p-2f, -0x1.735f4ep-3f, 0x1.f3923cp-5f, -0x1.cb7072p-7f,
-        0x1.bd1c4ep-2f, -0x1.641754p-3f, 0x1.de1df8p-5f, -0x1.c7b504p-7f, 0x1.b23678p-2f, -0x1.557a24p-3f,
-        0x1.c926a8p-5f, -0x1.c03966p-7f, 0x1.a7c2eap-2f, -0x1.4784fap-3f, 0x1.b46f48p-5f, -0x1.b5d9eap-7f,
-        0x1.9dbc72p-2f, -0x1.3a33f6p-3f, 0x1.a038ccp-5f, -0x1.a94e46p-7f, 0x1.941e02p-2f, -0x1.2d826ap-3f,
-        0x1.8c6ffap-5f, -0x1.9b2e82p-7f, 0x1.8ae2b2p-2f, -0x1.216b08p-3f, 0x1.795c9cp-5f, -0x1.8bf778p-7f,
-        0x1.8205c6p-2f, -0x1.15e81ep-3f, 0x1.6742b8p-5f, -0x1.7c0edcp-7f, 0x1.7982b4p-2f, -0x1.0af3b8p-3f,
-        0x1.55c3dap-5f, -0x1.6bc6cap-7f, 0x1.71551ep-2f, -0x1.0087bcp-3f, 0x1.454c8cp-5f, -0x1.5b60e8p-7f,
-        0x1.6978dcp-2f, -0x1.ed3c12p-4f, 0x1.355828p-5f, -0x1.4b111p-7f, 0x1.61e9f2p-2f, -0x1.da60f8p-4f,
-        0x1.26538p-5f, -0x1.3affa8p-7f, 0x1.5aa49ap-2f, -0x1.c8722cp-4f, 0x1.17a582p-5f, -0x1.2b4b94p-7f,
-        0x1.53a536p-2f, -0x1.b763d8p-4f, 0x1.0a23bcp-5f, -0x1.1c0bfp-7f, 0x1.4ce85ep-2f, -0x1.a72a9ap-4f,
-        0x1.fa6f4p-6f, -0x1.0d516ep-7f, 0x1.466ad4p-2f, -0x1.97bb64p-4f, 0x1.e1b116p-6f, -0x1.fe4f2ap-8f,
-        0x1.402984p-2f, -0x1.890b8ep-4f, 0x1.ca7b9ep-6f, -0x1.e32b7p-8f, 0x1.3a2186p-2f, -0x1.7b10f8p-4f,
-        0x1.b456cep-6f, -0x1.c93fap-8f, 0x1.345018p-2f, -0x1.6dc1ep-4f, 0x1.9f76ecp-6f, -0x1.b08e5cp-8f,
-        0x1.2eb29ep-2f, -0x1.611502p-4f, 0x1.8c0c8ep-6f, -0x1.991612p-8f, 0x1.2946a2p-2f, -0x1.55019ap-4f,
-        0x1.79943cp-6f, -0x1.82d1fap-8f, 0x1.2409dp-2f, -0x1.497f48p-4f, 0x1.67a7dp-6f, -0x1.6dbad8p-8f,
-        0x1.1ef9f2p-2f, -0x1.3e8628p-4f, 0x1.56d336p-6f, -0x1.59c79cp-8f, 0x1.1a14f2p-2f, -0x1.340eb4p-4f,
-        0x1.472dc4p-6f, -0x1.46ede6p-8f, 0x1.1558d8p-2f, -0x1.2a11e4p-4f, 0x1.3878fp-6f, -0x1.352274p-8f,
-        0x1.10c3c8p-2f, -0x1.208908p-4f, 0x1.2a4528p-6f, -0x1.245976p-8f, 0x1.0c53fep-2f, -0x1.176dd4p-4f,
-        0x1.1cdd28p-6f, -0x1.1486cep-8f, 0x1.0807dp-2f, -0x1.0eba5cp-4f, 0x1.0ff7f6p-6f, -0x1.059e4cp-8f,
-        0x1.03dda8p-2f, -0x1.0669p-4f, 0x1.0471c2p-6f, -0x1.ef27a4p-9f, 0x1.ffa818p-3f, -0x1.fce908p-5f,
-        0x1.f19734p-7f, -0x1.d4b6f4p-9f, 0x1.f7d31ep-3f, -0x1.edafe2p-5f, 0x1.dca3a8p-7f, -0x1.bbd34cp-9f,
-        0x1.f039bap-3f, -0x1.df1d34p-5f, 0x1.c85244p-7f, -0x1.a46638p-9f, 0x1.e8d962p-3f, -0x1.d12832p-5f,
-        0x1.b54406p-7f, -0x1.8e5a14p-9f, 0x1.e1afb2p-3f, -0x1.c3c8a2p-5f, 0x1.a2a4e8p-7f, -0x1.799a28p-9f,
-        0x1.daba6p-3f, -0x1.b6f6acp-5f, 0x1.91eb24p-7f, -0x1.6612aap-9f, 0x1.d3f748p-3f, -0x1.aaab08p-5f,
-        0x1.81a1d4p-7f, -0x1.53b0c8p-9f, 0x1.cd645ep-3f, -0x1.9edecep-5f, 0x1.71fe7ap-7f, -0x1.4262aep-9f,
-        0x1.c6ffb2p-3f, -0x1.938b84p-5f, 0x1.62c0ccp-7f, -0x1.321774p-9f, 0x1.c0c76ap-3f, -0x1.88ab06p-5f,
-        0x1.54dc4ap-7f, -0x1.22bf2ap-9f, 0x1.bab9c8p-3f, -0x1.7e3794p-5f, 0x1.47ab1ap-7f, -0x1.144ac6p-9f,
-        0x1.b4d522p-3f, -0x1.742bc2p-5f, 0x1.3b6988p-7f, -0x1.06ac24p-9f, 0x1.af17e6p-3f, -0x1.6a827ap-5f,
-        0x1.2f39cap-7f, -0x1.f3abecp-10f, 0x1.a98092p-3f, -0x1.6136e8p-5f, 0x1.23af76p-7f, -0x1.db777ep-10f,
-        0x1.a40db8p-3f, -0x1.58448p-5f, 0x1.18e23cp-7f, -0x1.c4a38ep-10f, 0x1.9ebdfcp-3f, -0x1.4fa6f8p-5f,
-        0x1.0ec774p-7f, -0x1.af1a26p-10f, 0x1.999014p-3f, -0x1.475a4cp-5f, 0x1.04d1fep-7f, -0x1.9ac6b2p-10f,
-        0x1.9482c4p-3f, -0x1.3f5aacp-5f, 0x1.f6307p-8f, -0x1.8795eep-10f, 0x1.8f94dep-3f, -0x1.37a478p-5f,
-        0x1.e3fee2p-8f, -0x1.7575d2p-10f, 0x1.8ac542p-3f, -0x1.30344cp-5f, 0x1.d3d97p-8f, -0x1.645582p-10f,
-        0x1.8612e2p-3f, -0x1.2906f8p-5f, 0x1.c2f4f4p-8f, -0x1.542534p-10f, 0x1.817cb6p-3f, -0x1.22196ap-5f,
-        0x1.b3659ep-8f, -0x1.44d62cp-10f, 0x1.7d01c6p-3f, -0x1.1b68c8p-5f, 0x1.a41bf8p-8f, -0x1.365a9cp-10f,
-        0x1.78a122p-3f, -0x1.14f25ap-5f, 0x1.966a16p-8f, -0x1.28a5a2p-10f, 0x1.7459e8p-3f, -0x1.0eb38cp-5f,
-        0x1.89103p-8f, -0x1.1bab32p-10f, 0x1.702b3ep-3f, -0x1.08a9f2p-5f, 0x1.7c504ep-8f, -0x1.0f6004p-10f,
-        0x1.6c1454p-3f, -0x1.02d33cp-5f, 0x1.70087cp-8f, -0x1.03b994p-10f, 0x1.681464p-3f, -0x1.fa5a7ap-6f,
-        0x1.63532p-8f, -0x1.f15c12p-11f, 0x1.642aacp-3f, -0x1.ef6bb8p-6f, 0x1.58ad18p-8f, -0x1.dc685ap-11f,
-        0x1.60567ap-3f, -0x1.e4d658p-6f, 0x1.4ca11ap-8f, -0x1.c886c8p-11f, 0x1.5c971ap-3f, -0x1.da968ap-6f,
-        0x1.42f836p-8f, -0x1.b5a742p-11f, 0x1.58ebe8p-3f, -0x1.d0a8d4p-6f, 0x1.38eefp-8f, -0x1.a3bab8p-11f,
-        0x1.555442p-3f, -0x1.c709d4p-6f, 0x1.2f6eccp-8f, -0x1.92b30ep-11f, 0x1.51cf8ep-3f, -0x1.bdb658p-6f,
-        0x1.264be8p-8f, -0x1.828312p-11f, 0x1.4e5d38p-3f, -0x1.b4ab56p-6f, 0x1.1d867cp-8f, -0x1.731e6cp-11f,
-        0x1.4afcb2p-3f, -0x1.abe5eep-6f, 0x1.150fdep-8f, -0x1.647988p-11f, 0x1.47ad74p-3f, -0x1.a3636p-6f,
-        0x1.0c92f8p-8f, -0x1.568992p-11f, 0x1.446efap-3f, -0x1.9b210cp-6f, 0x1.04bfd6p-8f, -0x1.49446p-11f,
-        0x1.4140c8p-3f, -0x1.931c7cp-6f, 0x1.f8346cp-9f, -0x1.3ca06cp-11f, 0x1.3e2262p-3f, -0x1.8b5348p-6f,
-        0x1.e9959p-9f, -0x1.3094ccp-11f, 0x1.3b1354p-3f, -0x1.83c33p-6f, 0x1.dce63ap-9f, -0x1.25191ep-11f,
-        0x1.38133p-3f, -0x1.7c6a12p-6f, 0x1.cf07e6p-9f, -0x1.1a258ap-11f, 0x1.352188p-3f, -0x1.7545d6p-6f,
-        0x1.c32bbp-9f, -0x1.0fb2aep-11f, 0x1.323df6p-3f, -0x1.6e5494p-6f, 0x1.b687c8p-9f, -0x1.05b99ep-11f,
-        0x1.2f6816p-3f, -0x1.679468p-6f, 0x1.a910fep-9f, -0x1.f867b2p-12f, 0x1.2c9f86p-3f, -0x1.610382p-6f,
-        0x1.9d381p-9f, -0x1.e63686p-12f, 0x1.29e3e8p-3f, -0x1.5aa03p-6f, 0x1.94aa8p-9f, -0x1.d4d43ap-12f,
-        0x1.2734e8p-3f, -0x1.5468dcp-6f, 0x1.8716c6p-9f, -0x1.c436p-12f, 0x1.24922ap-3f, -0x1.4e5beap-6f,
-        0x1.7cf3a2p-9f, -0x1.b451acp-12f, 0x1.21fb5cp-3f, -0x1.4877dcp-6f, 0x1.744a66p-9f, -0x1.a51dbp-12f,
-        0x1.1f703p-3f, -0x1.42bb52p-6f, 0x1.6983fap-9f, -0x1.969106p-12f, 0x1.1cf056p-3f, -0x1.3d24e4p-6f,
-        0x1.60388ep-9f, -0x1.88a336p-12f, 0x1.1a7b84p-3f, -0x1.37b344p-6f, 0x1.5701b2p-9f, -0x1.7b4c3ep-12f,
-        0x1.18117p-3f, -0x1.326532p-6f, 0x1.504ecap-9f, -0x1.6e8498p-12f, 0x1.15b1d8p-3f, -0x1.2d3984p-6f,
-        0x1.463bb2p-9f, -0x1.624526p-12f, 0x1.135c74p-3f, -0x1.282f08p-6f, 0x1.3f6964p-9f, -0x1.568736p-12f,
-        0x1.111106p-3f, -0x1.2344acp-6f, 0x1.36d89cp-9f, -0x1.4b4474p-12f, 0x1.0ecf4ep-3f, -0x1.1e7962p-6f,
-        0x1.2dc654p-9f, -0x1.4076e6p-12f, 0x1.0c970cp-3f, -0x1.19cc1cp-6f, 0x1.2889e8p-9f, -0x1.3618eap-12f,
-        0x1.0a680ap-3f, -0x1.153bf2p-6f, 0x1.1f74f8p-9f, -0x1.2c2528p-12f, 0x1.08420ap-3f, -0x1.10c7e4p-6f,
-        0x1.19b4b4p-9f, -0x1.229698p-12f, 0x1.0624d8p-3f, -0x1.0c6f1cp-6f, 0x1.1234bep-9f, -0x1.196878p-12f,
-        0x1.04103cp-3f, -0x1.0830bp-6f, 0x1.0c8358p-9f, -0x1.109642p-12f, 0x1.020404p-3f, -0x1.040bd8p-6f,
-        0x1.05b6e6p-9f, -0x1.081bb6p-12f, 0x1.fffff8p-4f, -0x1.ffff84p-7f, 0x1.0054acp-9f, -0x1.ffe994p-13f,
-        0x1.fc07eap-4f, -0x1.f81752p-7f, 0x1.f3716cp-10f, -0x1.f03b52p-13f, 0x1.f81f7cp-4f, -0x1.f05da6p-7f,
-        0x1.e8fdbep-10f, -0x1.e1256ap-13f, 0x1.f44654p-4f, -0x1.e8d11ap-7f, 0x1.ded9bep-10f, -0x1.d2a1p-13f,
-        0x1.f07c1ap-4f, -0x1.e1704ep-7f, 0x1.d3baacp-10f, -0x1.c4a78cp-13f, 0x1.ecc078p-4f, -0x1.da39f4p-7f,
-        0x1.c757a2p-10f, -0x1.b732e6p-13f, 0x1.e91318p-4f, -0x1.d32cc6p-7f, 0x1.bd435p-10f, -0x1.aa3d32p-13f,
-        0x1.e573aap-4f, -0x1.cc478ep-7f, 0x1.b3c77ap-10f, -0x1.9dc0dcp-13f, 0x1.e1e1ep-4f, -0x1.c58922p-7f,
-        0x1.a9c208p-10f, -0x1.91b8a2p-13f, 0x1.de5d6cp-4f, -0x1.bef06p-7f, 0x1.a183a2p-10f, -0x1.861f7cp-13f,
-        0x1.dae606p-4f, -0x1.b87c3p-7f, 0x1.97afb6p-10f, -0x1.7af0aap-13f, 0x1.d77b64p-4f, -0x1.b22b88p-7f,
-        0x1.8f1deep-10f, -0x1.7027ap-13f, 0x1.d41d4p-4f, -0x1.abfd62p-7f, 0x1.87bce6p-10f, -0x1.65c014p-13f,
-        0x1.d0cb58p-4f, -0x1.a5f0ccp-7f, 0x1.7e761cp-10f, -0x1.5bb5eap-13f, 0x1.cd8568p-4f, -0x1.a004c8p-7f,
-        0x1.7610b2p-10f, -0x1.54686ap-13f, 0x1p+0f, -0x1.ffffe6p-2f, 0x1.55429ep-3f, -0x1.4d3d8ap-5f,
-        0x1.e14aeep-1f, -0x1.d744b8p-2f, 0x1.36eaccp-3f, -0x1.34eabcp-5f, 0x1.c50418p-1f, -0x1.b228f8p-2f,
-        0x1.1b5d0cp-3f, -0x1.17b2cp-5f, 0x1.aaf452p-1f, -0x1.9054fep-2f, 0x1.0260ecp-3f, -0x1.fab4e2p-6f,
-        0x1.92e9ap-1f, -0x1.7179c2p-2f, 0x1.d78c44p-4f, -0x1.cb2ef2p-6f, 0x1.7cb6bep-1f, -0x1.554fdap-2f,
-        0x1.ae8514p-4f, -0x1.a04e52p-6f, 0x1.6832ap-1f, -0x1.3b96ecp-2f, 0x1.895dc8p-4f, -0x1.799b6p-6f,
-        0x1.553812p-1f, -0x1.2414dep-2f, 0x1.6795bcp-4f, -0x1.56aac4p-6f, 0x1.43a54ep-1f, -0x1.0e9538p-2f,
-        0x1.48f9fcp-4f, -0x1.371c26p-6f, 0x1.335bbp-1f, -0x1.f5d134p-3f, 0x1.2d2fc6p-4f, -0x1.1a990ap-6f,
-        0x1.243f66p-1f, -0x1.d1c876p-3f, 0x1.13d616p-4f, -0x1.00d3ccp-6f, 0x1.163722p-1f, -0x1.b0c2bep-3f,
-        0x1.f9d6fap-5f, -0x1.d30d5ep-7f, 0x1.092becp-1f, -0x1.927a26p-3f, 0x1.d00e28p-5f, -0x1.a8e62p-7f,
-        0x1.fa11b6p-2f, -0x1.76af62p-3f, 0x1.aa0fcap-5f, -0x1.82c14ep-7f, 0x1.e375d4p-2f, -0x1.5d292cp-3f,
-        0x1.876ea6p-5f, -0x1.6039cp-7f, 0x1.ce618ep-2f, -0x1.45b3b2p-3f, 0x1.67df58p-5f, -0x1.40f488p-7f,
-        0x1.bab556p-2f, -0x1.302p-3f, 0x1.4b1996p-5f, -0x1.249fe6p-7f, 0x1.a85468p-2f, -0x1.1c438cp-3f,
-        0x1.30eac2p-5f, -0x1.0af25p-7f, 0x1.97248cp-2f, -0x1.09f7ccp-3f, 0x1.18f7d6p-5f, -0x1.e7534ap-8f,
-        0x1.870ddp-2f, -0x1.f23392p-4f, 0x1.032e08p-5f, -0x1.bd14bap-8f, 0x1.77fa5ep-2f, -0x1.d313a6p-4f,
-        0x1.de5448p-6f, -0x1.96bdd2p-8f, 0x1.69d63ap-2f, -0x1.b65636p-4f, 0x1.b9ff28p-6f, -0x1.73ee1cp-8f,
-        0x1.5c8f2ap-2f, -0x1.9bc712p-4f, 0x1.988178p-6f, -0x1.544ebcp-8f, 0x1.501478p-2f, -0x1.8336b2p-4f,
-        0x1.7a05d6p-6f, -0x1.379178p-8f, 0x1.4456ep-2f, -0x1.6c7ap-4f, 0x1.5e01ap-6f, -0x1.1d6fccp-8f,
-        0x1.394862p-2f, -0x1.5769b2p-4f, 0x1.446d88p-6f, -0x1.05aa3p-8f, 0x1.2edc2ep-2f, -0x1.43e22ap-4f,
-        0x1.2cd9bp-6f, -0x1.e00eb6p-9f, 0x1.25068p-2f, -0x1.31c2e2p-4f, 0x1.1745c8p-6f, -0x1.b8a744p-9f,
-        0x1.1bbc8ep-2f, -0x1.20ee48p-4f, 0x1.038676p-6f, -0x1.94c0d8p-9f, 0x1.12f47p-2f, -0x1.11496ap-4f,
-        0x1.e2e45ep-7f, -0x1.740752p-9f, 0x1.0aa50ep-2f, -0x1.02bbcp-4f, 0x1.c15fb4p-7f, -0x1.562ec6p-9f,
-        0x1.02c608p-2f, -0x1.ea5dbcp-5f, 0x1.a2853p-7f, -0x1.3af2a6p-9f, 0x1.f69f56p-3f, -0x1.d11cacp-5f,
-        0x1.860c58p-7f, -0x1.221504p-9f, 0x1.e875bep-3f, -0x1.b98ef4p-5f, 0x1.6bf042p-7f, -0x1.0b5decp-9f,
-        0x1.db0238p-3f, -0x1.a3927ep-5f, 0x1.53f444p-7f, -0x1.ed3596p-10f, 0x1.ce38bap-3f, -0x1.8f0826p-5f,
-        0x1.3dc49p-7f, -0x1.c73bcap-10f, 0x1.c20e28p-3f, -0x1.7bd36cp-5f, 0x1.291d18p-7f, -0x1.a47bbep-10f,
-        0x1.b6783ap-3f, -0x1.69da32p-5f, 0x1.16516ap-7f, -0x1.84aa96p-10f, 0x1.ab6d7ap-3f, -0x1.5904ap-5f,
-        0x1.04c0fap-7f, -0x1.678492p-10f, 0x1.a0e522p-3f, -0x1.493cd6p-5f, 0x1.e8e6e2p-8f, -0x1.4ccc5cp-10f,
-        0x1.96d714p-3f, -0x1.3a6ec4p-5f, 0x1.cad2f4p-8f, -0x1.344a5ep-10f, 0x1.8d3bccp-3f, -0x1.2c8802p-5f,
-        0x1.af3ca8p-8f, -0x1.1dcc4p-10f, 0x1.840c58p-3f, -0x1.1f77bap-5f, 0x1.952e9cp-8f, -0x1.09245cp-10f,
-        0x1.7b423ep-3f, -0x1.132e5ep-5f, 0x1.7d7c76p-8f, -0x1.ec5298p-11f, 0x1.72d784p-3f, -0x1.079db8p-5f,
-        0x1.6748ccp-8f, -0x1.c96b04p-11f, 0x1.6ac69ap-3f, -0x1.f97164p-6f, 0x1.525792p-8f, -0x1.a94ddp-11f,
-        0x1.630a5p-3f, -0x1.e4e66cp-6f, 0x1.3f48ccp-8f, -0x1.8bbd18p-11f, 0x1.5b9ddap-3f, -0x1.d18466p-6f,
-        0x1.2d57dap-8f, -0x1.70809ep-11f, 0x1.547cbcp-3f, -0x1.bf36dep-6f, 0x1.1cbc0cp-8f, -0x1.57654ep-11f,
-        0x1.4da2ccp-3f, -0x1.adeb02p-6f, 0x1.0d076cp-8f, -0x1.403cb6p-11f, 0x1.470c24p-3f, -0x1.9d8f64p-6f,
-        0x1.fd41d8p-9f, -0x1.2adc92p-11f, 0x1.40b526p-3f, -0x1.8e1408p-6f, 0x1.e1ef48p-9f, -0x1.171e76p-11f,
-        0x1.3a9a6cp-3f, -0x1.7f6a12p-6f, 0x1.c9196p-9f, -0x1.04df6p-11f, 0x1.34b8dp-3f, -0x1.7183dcp-6f,
-        0x1.b1238p-9f, -0x1.e7fee8p-12f, 0x1.2f0d5ap-3f, -0x1.6454b4p-6f, 0x1.9af5p-9f, -0x1.c8c34cp-12f,
-        0x1.299546p-3f, -0x1.57d0e6p-6f, 0x1.863e3p-9f, -0x1.abd6fep-12f, 0x1.244dfcp-3f, -0x1.4bed98p-6f,
-        0x1.731cb6p-9f, -0x1.9109b6p-12f, 0x1.1f351p-3f, -0x1.40a0bap-6f, 0x1.60dc46p-9f, -0x1.782f64p-12f,
-        0x1.1a483ap-3f, -0x1.35e0fap-6f, 0x1.4fd174p-9f, -0x1.611fd2p-12f, 0x1.158558p-3f, -0x1.2ba5b4p-6f,
-        0x1.3f8c2ep-9f, -0x1.4bb646p-12f, 0x1.10ea68p-3f, -0x1.21e6dep-6f, 0x1.301fdep-9f, -0x1.37d12ep-12f,
-        0x1.0c7586p-3f, -0x1.189cfcp-6f, 0x1.21ff6p-9f, -0x1.2551dep-12f, 0x1.0824ecp-3f, -0x1.0fc11ep-6f,
-        0x1.152afcp-9f, -0x1.141c44p-12f, 0x1.03f6f2p-3f, -0x1.074cd8p-6f, 0x1.086ef2p-9f, -0x1.0416b2p-12f,
-        0x1.ffd408p-4f, -0x1.fe7442p-7f, 0x1.f8e254p-10f, -0x1.ea5344p-13f, 0x1.f7f94ep-4f, -0x1.ef06c6p-7f,
-        0x1.e25964p-10f, -0x1.ce7f18p-13f, 0x1.f05aeap-4f, -0x1.e046cp-7f, 0x1.cdb3dep-10f, -0x1.b48962p-13f,
-        0x1.e8f63cp-4f, -0x1.d22a7ap-7f, 0x1.ba04e2p-10f, -0x1.9c4deap-13f, 0x1.e1c8c8p-4f, -0x1.c4a8dep-7f,
-        0x1.a6fec6p-10f, -0x1.85ab7ap-13f, 0x1.dad032p-4f, -0x1.b7b96cp-7f, 0x1.958398p-10f, -0x1.708392p-13f,
-        0x1.d40a44p-4f, -0x1.ab5436p-7f, 0x1.84877ap-10f, -0x1.5cba2ep-13f, 0x1.cd74e2p-4f, -0x1.9f71ccp-7f,
-        0x1.74c38p-10f, -0x1.4a3592p-13f, 0x1.c70e1p-4f, -0x1.940b4p-7f, 0x1.65b7b4p-10f, -0x1.38de1p-13f,
-        0x1.c0d3ecp-4f, -0x1.891a0ep-7f, 0x1.573aecp-10f, -0x1.289de4p-13f, 0x1.bac4acp-4f, -0x1.7e981ep-7f,
-        0x1.49977ep-10f, -0x1.196102p-13f, 0x1.b4de9ep-4f, -0x1.747fb8p-7f, 0x1.3cf3b8p-10f, -0x1.0b14f6p-13f,
-        0x1.af2028p-4f, -0x1.6acb82p-7f, 0x1.30c51ep-10f, -0x1.fb517cp-14f, 0x1.a987c4p-4f, -0x1.617672p-7f,
-        0x1.24cdaep-10f, -0x1.e21954p-14f, 0x1.a413fcp-4f, -0x1.587bc8p-7f, 0x1.1a225ap-10f, -0x1.ca6486p-14f,
-        0x1.9ec372p-4f, -0x1.4fd716p-7f, 0x1.0fb9f4p-10f, -0x1.b4185cp-14f, 0x1.9994d6p-4f, -0x1.47842ep-7f,
-        0x1.05c3f4p-10f, -0x1.9f1c32p-14f, 0x1.9486eap-4f, -0x1.3f7f22p-7f, 0x1.f78cf2p-11f, -0x1.8b5938p-14f,
-        0x1.8f987cp-4f, -0x1.37c43ap-7f, 0x1.e505eap-11f, -0x1.78ba6p-14f, 0x1.8ac86ap-4f, -0x1.304ff6p-7f,
-        0x1.d44202p-11f, -0x1.672c2ap-14f, 0x1.8615a2p-4f, -0x1.291f0ep-7f, 0x1.c3bddap-11f, -0x1.569c8cp-14f,
-        0x1.817f1cp-4f, -0x1.222e68p-7f, 0x1.b40f2ap-11f, -0x1.46fad4p-14f, 0x1.7d03dcp-4f, -0x1.1b7b1p-7f,
-        0x1.a5da2cp-11f, -0x1.383784p-14f, 0x1.78a2f4p-4f, -0x1.150248p-7f, 0x1.97d02p-11f, -0x1.2a4442p-14f,
-        0x1.745b8p-4f, -0x1.0ec172p-7f, 0x1.89362ap-11f, -0x1.1d13bep-14f, 0x1.702ca2p-4f, -0x1.08b60ep-7f,
-        0x1.7c7406p-11f, -0x1.10999cp-14f, 0x1.6c158cp-4f, -0x1.02ddcep-7f, 0x1.6f29ep-11f, -0x1.04ca64p-14f,
-        0x1.681572p-4f, -0x1.fa6cep-8f, 0x1.644dp-11f, -0x1.f336dp-15f, 0x1.642b9ap-4f, -0x1.ef7bcep-8f,
-        0x1.57ca92p-11f, -0x1.de058p-15f, 0x1.605748p-4f, -0x1.e4e45ap-8f, 0x1.4d304ap-11f, -0x1.c9ee64p-15f,
-        0x1.5c97cep-4f, -0x1.daa2c4p-8f, 0x1.435a66p-11f, -0x1.b6e054p-15f, 0x1.58ec86p-4f, -0x1.d0b382p-8f,
-        0x1.38a6b2p-11f, -0x1.a4cb5p-15f, 0x1.5554ccp-4f, -0x1.c71324p-8f, 0x1.2f2c3ep-11f, -0x1.93a074p-15f,
-        0x1.51d006p-4f, -0x1.bdbe76p-8f, 0x1.267754p-11f, -0x1.8351dap-15f, 0x1.4e5da2p-4f, -0x1.b4b27p-8f,
-        0x1.1cc9a4p-11f, -0x1.73d29p-15f, 0x1.4afd0ep-4f, -0x1.abec1ep-8f, 0x1.14de06p-11f, -0x1.65167ep-15f,
-        0x1.47adc4p-4f, -0x1.a368c6p-8f, 0x1.0caffp-11f, -0x1.571258p-15f, 0x1.446f4p-4f, -0x1.9b25c4p-8f,
-        0x1.04c614p-11f, -0x1.49bb94p-15f, 0x1.414104p-4f, -0x1.932096p-8f, 0x1.fa004p-12f, -0x1.3d0856p-15f,
-        0x1.3e2296p-4f, -0x1.8b56dcp-8f, 0x1.ebceb6p-12f, -0x1.30ef64p-15f, 0x1.3b1382p-4f, -0x1.83c652p-8f,
-        0x1.de03e4p-12f, -0x1.25681ep-15f, 0x1.381358p-4f, -0x1.7c6cccp-8f, 0x1.d0518ap-12f, -0x1.1a6a6ep-15f,
-        0x1.3521acp-4f, -0x1.75483cp-8f, 0x1.c2bf1ap-12f, -0x1.0feec4p-15f, 0x1.323e16p-4f, -0x1.6e56aep-8f,
-        0x1.b55e74p-12f, -0x1.05ee06p-15f, 0x1.2f683p-4f, -0x1.679638p-8f, 0x1.ab04bap-12f, -0x1.f8c324p-16f,
-        0x1.2c9f9ep-4f, -0x1.61051cp-8f, 0x1.9d0708p-12f, -0x1.e6865p-16f, 0x1.29e3fep-4f, -0x1.5aa19ap-8f,
-        0x1.92fac2p-12f, -0x1.d519dap-16f, 0x1.2734fap-4f, -0x1.546a14p-8f, 0x1.87795ap-12f, -0x1.c472c4p-16f,
-        0x1.24923ap-4f, -0x1.4e5cfap-8f, 0x1.7ce732p-12f, -0x1.b486b6p-16f, 0x1.21fb6ap-4f, -0x1.4878ccp-8f,
-        0x1.743d96p-12f, -0x1.a54bfcp-16f, 0x1.1f703cp-4f, -0x1.42bc22p-8f, 0x1.69d774p-12f, -0x1.96b972p-16f,
-        0x1.1cf06p-4f, -0x1.3d2596p-8f, 0x1.6140c2p-12f, -0x1.88c68p-16f, 0x1.1a7b8cp-4f, -0x1.37b3ep-8f,
-        0x1.59086ap-12f, -0x1.7b6b1p-16f, 0x1.181178p-4f, -0x1.3265bep-8f, 0x1.50948p-12f, -0x1.6e9f82p-16f,
-        0x1.15b1dep-4f, -0x1.2d39fap-8f, 0x1.47f8bep-12f, -0x1.625ca8p-16f, 0x1.135c7ap-4f, -0x1.282f72p-8f,
-        0x1.3fcf06p-12f, -0x1.569bcp-16f, 0x1.11110cp-4f, -0x1.23450cp-8f, 0x1.3611e2p-12f, -0x1.4b5664p-16f,
-        0x1.0ecf52p-4f, -0x1.1e79b2p-8f, 0x1.2ef8dep-12f, -0x1.408694p-16f, 0x1.0c971p-4f, -0x1.19cc64p-8f,
-        0x1.28d69cp-12f, -0x1.36269cp-16f, 0x1.0a680cp-4f, -0x1.153c2cp-8f, 0x1.21f89ap-12f, -0x1.2c312p-16f,
-        0x1.08420ep-4f, -0x1.10c81ep-8f, 0x1.18886ap-12f, -0x1.22a10ep-16f, 0x1.0624dap-4f, -0x1.0c6f48p-8f,
-        0x1.136e86p-12f, -0x1.19719cp-16f, 0x1.04103ep-4f, -0x1.0830dap-8f, 0x1.0d367p-12f, -0x1.109e4p-16f,
-        0x1.020406p-4f, -0x1.040bfcp-8f, 0x1.05f42p-12f, -0x1.0822b2p-16f, 0x1.fffffcp-5f, -0x1.ffffc4p-9f,
-        0x1.002abep-12f, -0x1.fff5cap-17f, 0x1.fc07ecp-5f, -0x1.f81786p-9f, 0x1.f569p-13f, -0x1.f046p-17f,
-        0x1.f81f8p-5f, -0x1.f05ddap-9f, 0x1.e75746p-13f, -0x1.e12ecp-17f, 0x1.f44658p-5f, -0x1.e8d148p-9f,
-        0x1.dca8ecp-13f, -0x1.d2a92ap-17f, 0x1.f07c1cp-5f, -0x1.e17072p-9f, 0x1.d410cp-13f, -0x1.c4aebp-17f,
-        0x1.ecc07ap-5f, -0x1.da3a16p-9f, 0x1.c743bp-13f, -0x1.b73926p-17f, 0x1.e9131ap-5f, -0x1.d32cdep-9f,
-        0x1.bccf3ap-13f, -0x1.ad7386p-17f, 0x1.20dd76p+0f, 0x0p+0f, -0x1.820e66p-2f, 0x1.03f02p-5f,
-        0x1.207d48p+0f, -0x1.80407cp-5f, -0x1.7e5b1ap-2f, 0x1.cbd614p-6f, 0x1.1f5e1ap+0f, -0x1.7d9006p-4f,
-        -0x1.76509ap-2f, 0x1.c575bep-5f, 0x1.1d83ecp+0f, -0x1.1ad8fap-3f, -0x1.691c1ap-2f, 0x1.4c425p-4f,
-        0x1.1af54ep+0f, -0x1.730704p-3f, -0x1.57508p-2f, 0x1.acc0fap-4f, 0x1.17bb2ap+0f, -0x1.c6311p-3f,
-        -0x1.413804p-2f, 0x1.00e5cap-3f, 0x1.13e08cp+0f, -0x1.09ac36p-2f, -0x1.27531ep-2f, 0x1.24b6dcp-3f,
-        0x1.0f725ap+0f, -0x1.2cd34p-2f, -0x1.0a9174p-2f, 0x1.411d6cp-3f, 0x1.0a7ef6p+0f, -0x1.4c3888p-2f,
-        -0x1.d6db54p-3f, 0x1.55abe2p-3f, 0x1.0515ecp+0f, -0x1.679e58p-2f, -0x1.959a3ep-3f, 0x1.623e7ep-3f,
-        0x1.fe8f16p-1f, -0x1.7edef8p-2f, -0x1.527314p-3f, 0x1.66f95ap-3f, 0x1.f2491cp-1f, -0x1.91ec1ap-2f,
-        -0x1.0f3656p-3f, 0x1.643f3ep-3f, 0x1.e57b74p-1f, -0x1.a0cdd8p-2f, -0x1.9a7bc8p-4f, 0x1.5aaffp-3f,
-        0x1.d84714p-1f, -0x1.aba0acp-2f, -0x1.1b6f6cp-4f, 0x1.4b16e8p-3f, 0x1.cacbc2p-1f, -0x1.b29326p-2f,
-        -0x1.45eea6p-5f, 0x1.36623ap-3f, 0x1.bd2794p-1f, -0x1.b5e336p-2f, -0x1.991d0ep-7f, 0x1.1d95a8p-3f,
-        0x1.af767ap-1f, -0x1.b5db06p-2f, 0x1.985746p-7f, 0x1.01be26p-3f, 0x1.a1d1fp-1f, -0x1.b2cde8p-2f,
-        0x1.1c6924p-5f, 0x1.c7cc56p-4f, 0x1.9450bcp-1f, -0x1.ad1538p-2f, 0x1.bb3b2ep-5f, 0x1.8a16dep-4f,
-        0x1.8706c6p-1f, -0x1.a50d4ap-2f, 0x1.21e0b8p-4f, 0x1.4c2cc4p-4f, 0x1.7a0518p-1f, -0x1.9b12e2p-2f,
-        0x1.5a657cp-4f, 0x1.0fa754p-4f, 0x1.6d59d8p-1f, -0x1.8f80a2p-2f, 0x1.87cc5ap-4f, 0x1.abbebap-5f,
-        0x1.611066p-1f, -0x1.82ad1ap-2f, 0x1.aaea64p-4f, 0x1.3fd10ap-5f, 0x1.553186p-1f, -0x1.74e92ep-2f,
-        0x1.c43ec6p-4f, 0x1.ba4166p-6f, 0x1.49c38ep-1f, -0x1.667ed8p-2f, 0x1.d4c5ep-4f, 0x1.0982dp-6f,
-        0x1.3ecaa4p-1f, -0x1.57b056p-2f, 0x1.dd4f7ep-4f, 0x1.ba4d58p-8f, 0x1.3448f8p-1f, -0x1.48b7c4p-2f,
-        0x1.df85d6p-4f, -0x1.63e064p-10f, 0x1.2a3f12p-1f, -0x1.39c6fap-2f, 0x1.dba0c6p-4f, -0x1.0abd24p-7f,
-        0x1.20ac04p-1f, -0x1.2b07a6p-2f, 0x1.d351e6p-4f, -0x1.bfa72cp-7f, 0x1.178db8p-1f, -0x1.1c9bc6p-2f,
-        0x1.c709e2p-4f, -0x1.2715a8p-6f, 0x1.0ee122p-1f, -0x1.0e9e1ap-2f, 0x1.b7cbcp-4f, -0x1.5ced9ap-6f,
-        0x1.06a27ap-1f, -0x1.0122e2p-2f, 0x1.a6970ap-4f, -0x1.83547cp-6f, 0x1.fd9ae2p-2f, -0x1.e87124p-3f,
-        0x1.93b4ap-4f, -0x1.9c57acp-6f, 0x1.eebaaap-2f, -0x1.cfd14p-3f, 0x1.80128ap-4f, -0x1.aa01c4p-6f,
-        0x1.e09a7ap-2f, -0x1.b87062p-3f, 0x1.6bf9ecp-4f, -0x1.ae4b42p-6f, 0x1.d33048p-2f, -0x1.a251dep-3f,
-        0x1.57d58ap-4f, -0x1.aafc7cp-6f, 0x1.c67206p-2f, -0x1.8d734ap-3f, 0x1.44188p-4f, -0x1.a1c632p-6f,
-        0x1.ba55dp-2f, -0x1.79cddcp-3f, 0x1.30bb2ap-4f, -0x1.941a96p-6f, 0x1.aed2p-2f, -0x1.675758p-3f,
-        0x1.1e483ep-4f, -0x1.833bc8p-6f, 0x1.a3dd54p-2f, -0x1.56032ep-3f, 0x1.0c763ap-4f, -0x1.703976p-6f,
-        0x1.996eeep-2f, -0x1.45c32p-3f, 0x1.f75384p-5f, -0x1.5bf35p-6f, 0x1.8f7e6ap-2f, -0x1.368806p-3f,
-        0x1.d7b8d4p-5f, -0x1.471cecp-6f, 0x1.8603ep-2f, -0x1.284244p-3f, 0x1.b9e3fep-5f, -0x1.324288p-6f,
-        0x1.7cf7e2p-2f, -0x1.1ae23ap-3f, 0x1.9e2736p-5f, -0x1.1dce2ep-6f, 0x1.74538p-2f, -0x1.0e5898p-3f,
-        0x1.846a82p-5f, -0x1.0a0cecp-6f, 0x1.6c1044p-2f, -0x1.02968ep-3f, 0x1.6c4f96p-5f, -0x1.ee6782p-7f,
-        0x1.642828p-2f, -0x1.ef1becp-4f, 0x1.562c26p-5f, -0x1.cac88cp-7f, 0x1.5c959ap-2f, -0x1.da62fep-4f,
-        0x1.41332ap-5f, -0x1.a96182p-7f, 0x1.555368p-2f, -0x1.c6e936p-4f, 0x1.2e00b4p-5f, -0x1.8a3f7ap-7f,
-        0x1.4e5cc6p-2f, -0x1.b4973cp-4f, 0x1.1c377ap-5f, -0x1.6d5e1ap-7f, 0x1.47ad4p-2f, -0x1.a35762p-4f,
-        0x1.0bdbdap-5f, -0x1.52ac9p-7f, 0x1.4140b8p-2f, -0x1.9315bp-4f, 0x1.f8e902p-6f, -0x1.3a1198p-7f,
-        0x1.3b1358p-2f, -0x1.83bf9ep-4f, 0x1.dcedc8p-6f, -0x1.236ea8p-7f, 0x1.352196p-2f, -0x1.75443cp-4f,
-        0x1.c2c684p-6f, -0x1.0ea24ep-7f, 0x1.2f6828p-2f, -0x1.6793eep-4f, 0x1.a9e528p-6f, -0x1.f7140ap-8f,
-        0x1.29e3fcp-2f, -0x1.5aa05ap-4f, 0x1.932f1ep-6f, -0x1.d406f8p-8f, 0x1.24923ap-2f, -0x1.4e5c5ap-4f,
-        0x1.7e65eap-6f, -0x1.b3daeep-8f, 0x1.1f704p-2f, -0x1.42bbe6p-4f, 0x1.69f5cap-6f, -0x1.9650cep-8f,
-        0x1.1a7b9p-2f, -0x1.37b3d6p-4f, 0x1.5828aap-6f, -0x1.7b2d7ep-8f, 0x1.15b1e2p-2f, -0x1.2d3a0cp-4f,
-        0x1.46fb9p-6f, -0x1.623a3cp-8f, 0x1.11111p-2f, -0x1.234528p-4f, 0x1.3653f4p-6f, -0x1.4b44bap-8f,
-        0x1.0c9714p-2f, -0x1.19cc86p-4f, 0x1.2792b6p-6f, -0x1.361fp-8f, 0x1.08421p-2f, -0x1.10c83ap-4f,
-        0x1.197854p-6f, -0x1.27561cp-8f, 0x1.62e43p-1f, -0x1.00000ap-1f, 0x1.000d28p-3f, -0x1.562494p-11f,
-        0x1.43e406p-1f, -0x1.e00aa6p-2f, 0x1.fde80ap-4f, -0x1.5456c2p-9f, 0x1.26e188p-1f, -0x1.c054ccp-2f,
-        0x1.f80614p-4f, -0x1.4e99eep-8f, 0x1.0bd6dp-1f, -0x1.a11c04p-2f, 0x1.ee5acep-4f, -0x1.e8e10ep-8f,
-        0x1.e5747p-2f, -0x1.829a04p-2f, 0x1.e13b68p-4f, -0x1.3a5fd2p-7f, 0x1.b6fd5p-2f, -0x1.65033ap-2f,
-        0x1.d10722p-4f, -0x1.776abap-7f, 0x1.8c27eap-2f, -0x1.48856p-2f, 0x1.be34dap-4f, -0x1.aa6414p-7f,
-        0x1.64cea8p-2f, -0x1.2d46bp-2f, 0x1.a93ea2p-4f, -0x1.d2a7fap-7f, 0x1.40c7acp-2f, -0x1.136562p-2f,
-        0x1.92a448p-4f, -0x1.f0167ap-7f, 0x1.1fe5d2p-2f, -0x1.f5ef22p-3f, 0x1.7ae99ep-4f, -0x1.018278p-6f,
-        0x1.01f9b2p-2f, -0x1.c817p-3f, 0x1.628694p-4f, -0x1.061472p-6f, 0x1.cda526p-3f, -0x1.9d5042p-3f,
-        0x1.49e76p-4f, -0x1.063f7ap-6f, 0x1.9c7e9p-3f, -0x1.759b84p-3f, 0x1.31778cp-4f, -0x1.029916p-6f,
-        0x1.701df4p-3f, -0x1.50ee02p-3f, 0x1.1984e4p-4f, -0x1.f7844ep-7f, 0x1.48239ap-3f, -0x1.2f336p-3f,
-        0x1.02529ep-4f, -0x1.e4b9aap-7f, 0x1.2432d2p-3f, -0x1.104f9p-3f, 0x1.d83f2p-5f, -0x1.ce097cp-7f,
-        0x1.03f2d6p-3f, -0x1.e84154p-4f, 0x1.ae1418p-5f, -0x1.b4922ap-7f, 0x1.ce1ebcp-4f, -0x1.b50136p-4f,
-        0x1.866c3ep-5f, -0x1.9951fcp-7f, 0x1.9a723p-4f, -0x1.868d2ap-4f, 0x1.615f9p-5f, -0x1.7d237p-7f,
-        0x1.6c4bcap-4f, -0x1.5c90d4p-4f, 0x1.3ef29cp-5f, -0x1.60bc5cp-7f, 0x1.4321e2p-4f, -0x1.36b714p-4f,
-        0x1.1f2fbcp-5f, -0x1.44af2ep-7f, 0x1.1e756cp-4f, -0x1.14abdap-4f, 0x1.020572p-5f, -0x1.296da8p-7f,
-        0x1.fba372p-5f, -0x1.ec3ad6p-5f, 0x1.cec20cp-6f, -0x1.0f4c76p-7f, 0x1.c19844p-5f, -0x1.b57aeap-5f,
-        0x1.9e3644p-6f, -0x1.ed0e4ap-8f, 0x1.8e070ep-5f, -0x1.848344p-5f, 0x1.722dd8p-6f, -0x1.be8874p-8f,
-        0x1.603f9ap-5f, -0x1.58c862p-5f, 0x1.4a591cp-6f, -0x1.933204p-8f, 0x1.37a28ap-5f, -0x1.31c82cp-5f,
-        0x1.266d92p-6f, -0x1.6b1a32p-8f, 0x1.13a024p-5f, -0x1.0f0a54p-5f, 0x1.0625dap-6f, -0x1.463b1p-8f,
-        0x1.e76e4ap-6f, -0x1.e04068p-6f, 0x1.d24df2p-7f, -0x1.247edcp-8f, 0x1.aee702p-6f, -0x1.a94912p-6f,
-        0x1.9e5b7p-7f, -0x1.05c46cp-8f, 0x1.7cda8ap-6f, -0x1.787618p-6f, 0x1.6fe926p-7f, -0x1.d3c5d2p-9f,
-        0x1.508ef8p-6f, -0x1.4d2012p-6f, 0x1.467402p-7f, -0x1.a1594ap-9f, 0x1.295e5p-6f, -0x1.26afa6p-6f,
-        0x1.217666p-7f, -0x1.73e2e8p-9f, 0x1.06b48ap-6f, -0x1.049c42p-6f, 0x1.008aep-7f, -0x1.4b00cap-9f,
-        0x1.d01baep-7f, -0x1.ccd646p-7f, 0x1.c67dcap-8f, -0x1.26522ap-9f, 0x1.99e9ep-7f, -0x1.975c44p-7f,
-        0x1.9269e4p-8f, -0x1.05794p-9f, 0x1.6a0332p-7f, -0x1.68052cp-7f, 0x1.642b4ep-8f, -0x1.d0390ep-10f,
-        0x1.3fae82p-7f, -0x1.3e209ep-7f, 0x1.3b2212p-8f, -0x1.9bcf3ep-10f, 0x1.1a4786p-7f, -0x1.19112ep-7f,
-        0x1.16bcfp-8f, -0x1.6d178ep-10f, 0x1.f27914p-8f, -0x1.f09504p-8f, 0x1.ecf9c6p-9f, -0x1.438022p-10f,
-        0x1.b818d8p-8f, -0x1.b69f6ep-8f, 0x1.b3d2a2p-9f, -0x1.1e82ep-10f, 0x1.84898ap-8f, -0x1.83634ep-8f,
-        0x1.81357cp-9f, -0x1.fb4a4p-11f, 0x1.57008ep-8f, -0x1.561b3p-8f, 0x1.546e04p-9f, -0x1.c0ee86p-11f,
-        0x1.2eca94p-8f, -0x1.2e17cep-8f, 0x1.2cc8b6p-9f, -0x1.8d283ap-11f, 0x1.0b48eap-8f, -0x1.0abd96p-8f,
-        0x1.09c098p-9f, -0x1.5f4092p-11f, 0x1.d7de78p-9f, -0x1.d70552p-9f, 0x1.d57784p-10f, -0x1.3692f6p-11f,
-        0x1.a082ccp-9f, -0x1.9fd992p-9f, 0x1.9eaaf8p-10f, -0x1.128b86p-11f, 0x1.6fa36p-9f, -0x1.6f1f8ap-9f,
-        0x1.6e34a8p-10f, -0x1.e54b78p-12f, 0x1.447e34p-9f, -0x1.44177cp-9f, 0x1.436418p-10f, -0x1.acd61cp-12f,
-        0x1.1e67dap-9f, -0x1.1e17d2p-9f, 0x1.1d8fe6p-10f, -0x1.7ae338p-12f, 0x1.f991bp-10f, -0x1.f914fcp-10f,
-        0x1.f84676p-11f, -0x1.4eb5f8p-12f, 0x1.be36b4p-10f, -0x1.bdd58ep-10f, 0x1.bd3992p-11f, -0x1.27a634p-12f,
-        0x1.89d252p-10f, -0x1.8986a8p-10f, 0x1.890fd4p-11f, -0x1.051e52p-12f, 0x1.5b93b4p-10f, -0x1.5b58cp-10f,
-        0x1.5b0142p-11f, -0x1.cd32b6p-13f, 0x1.32c26ep-10f, -0x1.329486p-10f, 0x1.3251a8p-11f, -0x1.97427cp-13f,
-        0x1.0ebbap-10f, -0x1.0e97dap-10f, 0x1.0e65bcp-11f, -0x1.679a6cp-13f, 0x1.dddef2p-11f, -0x1.dda73ap-11f,
-        0x1.dd609ap-12f, -0x1.3d80bcp-13f, 0x1.a5bdfep-11f, -0x1.a5929cp-11f, 0x1.a55e56p-12f, -0x1.1850bep-13f,
-        0x1.743428p-11f, -0x1.74125ep-11f, 0x1.73ecd4p-12f, -0x1.eef12ep-14f, 0x1.487b7ap-11f, -0x1.486126p-11f,
-        0x1.484932p-12f, -0x1.b4ee42p-14f, 0x1.21e534p-11f, -0x1.21d0b6p-11f, 0x1.21bdb8p-12f, -0x1.81b41ep-14f,
-        0x1.ffae18p-12f, -0x1.ff8e2ap-12f, 0x1.ff78bp-13f, -0x1.54788p-14f, 0x1.c391aap-12f, -0x1.c378cap-12f,
-        0x1.c36dcp-13f, -0x1.2c8886p-14f, 0x1.8e84b2p-12f, -0x1.8e7158p-12f, 0x1.8e69bap-13f, -0x1.0945fep-14f,
-        0x1.5fb2f4p-12f, -0x1.5fa3dep-12f, 0x1.5fa4cp-13f, -0x1.d44a24p-15f, 0x1.366122p-12f, -0x1.365562p-12f,
-        0x1.365954p-13f, -0x1.9d544cp-15f, 0x1.11e9e6p-12f, -0x1.11e0c2p-12f, 0x1.11e27p-13f, -0x1.6cd006p-15f,
-        0x1.e3769cp-13f, -0x1.e3685ep-13f, 0x1.e374p-14f, -0x1.41fc4cp-15f, 0x1.aaa922p-13f, -0x1.aa9e0ep-13f,
-        0x1.aaa816p-14f, -0x1.1c2e9ap-15f, 0x1.7887fep-13f, -0x1.787f5ep-13f, 0x1.788b86p-14f, -0x1.f5a0a4p-16f,
-        0x1.4c4a88p-13f, -0x1.4c43d2p-13f, 0x1.4c50c6p-14f, -0x1.bab8dap-16f, 0x1.253fa6p-13f, -0x1.253a6cp-13f,
-        0x1.2547dp-14f, -0x1.86baep-16f, 0x1.02cb0ap-13f, -0x1.02c6f4p-13f, 0x1.02d5bap-14f, -0x1.58d736p-16f,
-        0x1.c8c586p-14f, -0x1.c8bf2cp-14f, 0x1.c8d946p-15f, -0x1.3056a6p-16f, 0x1.931a22p-14f, -0x1.931532p-14f,
-        0x1.932d48p-15f, -0x1.0c976ep-16f, 0x1.63bd04p-14f, -0x1.63b92ap-14f, 0x1.63d058p-15f, -0x1.da1572p-17f,
-        0x1.39f088p-14f, -0x1.39ed8cp-14f, 0x1.39fdbcp-15f, -0x1.a264e8p-17f, 0x1.150d4ap-14f, -0x1.150af8p-14f,
-        0x1.151bf8p-15f, -0x1.713e9ap-17f, 0x1.e8ff2ep-15f, -0x1.e8fb8ep-15f, 0x1.e91c0ap-16f, -0x1.45de06p-17f,
-        0x1.af8a26p-15f, -0x1.af8758p-15f, 0x1.afa366p-16f, -0x1.1f95b2p-17f, 0x1.7cd564p-15f, -0x1.7cd334p-15f,
-        0x1.7ceae6p-16f, -0x1.fb98fcp-18f, 0x1.5015d8p-15f, -0x1.501426p-15f, 0x1.502a44p-16f, -0x1.bff67ep-18f,
-        0x1.28984ep-15f, -0x1.2896f8p-15f, 0x1.28ae7p-16f, -0x1.8b5552p-18f, 0x1.05bea2p-15f, -0x1.05bd9cp-15f,
-        0x1.05d2a6p-16f, -0x1.5ce2dep-18f, 0x1.cdfa84p-16f, -0x1.cdf8ecp-16f, 0x1.ce191cp-17f, -0x1.33e54p-18f,
-        0x1.97b2p-16f, -0x1.97b0c4p-16f, 0x1.97cf7ap-17f, -0x1.0fb868p-18f, 0x1.67ca56p-16f, -0x1.67c96p-16f,
-        0x1.67e2a8p-17f, -0x1.df9718p-19f, 0x1.3d83a8p-16f, -0x1.3d82eap-16f, 0x1.3d9b3ap-17f, -0x1.a73dbcp-19f,
-        0x1.1834a8p-16f, -0x1.183414p-16f, 0x1.184872p-17f, -0x1.758328p-19f, 0x1.ee8fdp-17f, -0x1.ee8ee6p-17f,
-        0x1.eeb776p-18f, -0x1.49a044p-19f, 0x1.b4731ap-17f, -0x1.b47268p-17f, 0x1.b49482p-18f, -0x1.22e56p-19f,
-        0x1.812a6ep-17f, -0x1.8129e4p-17f, 0x1.81459cp-18f, -0x1.00b764p-19f, 0x1.53e866p-17f, -0x1.53e7fcp-17f,
-        0x1.53ffdp-18f, -0x1.c51af2p-20f, 0x1.2bf7bep-17f, -0x1.2bf768p-17f, 0x1.2c10dcp-18f, -0x1.8fddacp-20f,
-        0x1.08b882p-17f, -0x1.08b844p-17f, 0x1.08d0a2p-18f, -0x1.60e1c4p-20f, 0x1.d33b1p-18f, -0x1.d33aaep-18f,
-        0x1.d35daap-19f, -0x1.376b18p-20f, 0x1.9c546ep-18f, -0x1.9c541ep-18f, 0x1.9c7774p-19f, -0x1.12d39cp-20f,
-        0x1.6be142p-18f, -0x1.6be108p-18f, 0x1.6bfec6p-19f, -0x1.e51194p-21f, 0x1.411f7ep-18f, -0x1.411f52p-18f,
-        0x1.413626p-19f, -0x1.ac129cp-21f, 0x1.1b63ep-18f, -0x1.1b63bep-18f, 0x1.1b79f2p-19f, -0x1.79c61p-21f,
-        0x1.f42e94p-19f, -0x1.f42e5cp-19f, 0x1.f45864p-20f, -0x1.4d628p-21f, 0x1.b968bcp-19f, -0x1.b96894p-19f,
-        0x1.b98ce6p-20f, -0x1.263628p-21f, 0x1.858ad2p-19f, -0x1.858ab4p-19f, 0x1.85a882p-20f, -0x1.03a424p-21f,
-        0x1.57c518p-19f, -0x1.57c502p-19f, 0x1.57e058p-20f, -0x1.ca4404p-22f, 0x1.2f603cp-19f, -0x1.2f602cp-19f,
-        0x1.2f7848p-20f, -0x1.946b24p-22f, 0x1.0bba74p-19f, -0x1.0bba68p-19f, 0x1.0bd17p-20f, -0x1.64e602p-22f,
-        0x1.d889f6p-20f, -0x1.d889e4p-20f, 0x1.d8b15ap-21f, -0x1.3af64cp-22f, 0x1.a103ap-20f, -0x1.a1038ep-20f,
-        0x1.a127dcp-21f, -0x1.15f40cp-22f, 0x1.700386p-20f, -0x1.70037cp-20f, 0x1.701e94p-21f, -0x1.ea9612p-23f,
-        0x1.44c562p-20f, -0x1.44c55cp-20f, 0x1.44de6ep-21f, -0x1.b0f0ecp-23f, 0x1.1e9c04p-20f, -0x1.1e9cp-20f,
-        0x1.1eb3fcp-21f, -0x1.7e11c4p-23f, 0x1.f9dd2ap-21f, -0x1.f9dd22p-21f, 0x1.fa0546p-22f, -0x1.512cdcp-23f,
-        0x1.be6c62p-21f, -0x1.be6c5ep-21f, 0x1.be8f8cp-22f, -0x1.298e64p-23f, 0x1.89f79ep-21f, -0x1.89f79cp-21f,
-        0x1.8a17e2p-22f, -0x1.0697b2p-23f, 0x1.5bacc6p-21f, -0x1.5bacc6p-21f, 0x1.5bc966p-22f, -0x1.cf7972p-24f,
-        0x1.32d27p-21f, -0x1.32d26cp-21f, 0x1.32ed86p-22f, -0x1.9903ccp-24f, 0x1.0ec4fep-21f, -0x1.0ec4fap-21f,
-        0x1.0edb52p-22f, -0x1.68f454p-24f, 0x1.dde81p-22f, -0x1.dde80ep-22f, 0x1.de11bcp-23f, -0x1.3e8a8ep-24f,
-        0x1.a5c044p-22f, -0x1.a5c046p-22f, 0x1.a5dffap-23f, -0x1.191c9ap-24f, 0x1.7431a8p-22f, -0x1.7431a6p-22f,
-        0x1.745238p-23f, -0x1.f02918p-25f, 0x1.4875c6p-22f, -0x1.4875cap-22f, 0x1.488e82p-23f, -0x1.b5dc36p-25f,
-        0x1.21dd7p-22f, -0x1.21dd72p-22f, 0x1.21f212p-23f, -0x1.82690ap-25f, 0x1.ff9c22p-23f, -0x1.ff9c26p-23f,
-        0x1.ffc5c2p-24f, -0x1.550186p-25f, 0x1.c37e8p-23f, -0x1.c37e8p-23f, 0x1.c3a5aap-24f, -0x1.2cefcep-25f,
-        0x1.8e7134p-23f, -0x1.8e713ap-23f, 0x1.8e90fap-24f, -0x1.099366p-25f, 0x1.5f9fcp-23f, -0x1.5f9fc4p-23f,
-        0x1.5fb956p-24f, -0x1.d4bd58p-26f, 0x1.364e9ep-23f, -0x1.364ea2p-23f, 0x1.36686p-24f, -0x1.9da94ap-26f,
-        0x1.11d856p-23f, -0x1.11d85ap-23f, 0x1.11edbep-24f, -0x1.6d0e0ap-26f, 0x1.e355b8p-24f, -0x1.e355bap-24f,
-        0x1.e37c22p-25f, -0x1.4228e8p-26f, 0x1.aa8aap-24f, -0x1.aa8aa8p-24f, 0x1.aaabf6p-25f, -0x1.1c4e16p-26f,
-        0x1.786beap-24f, -0x1.786becp-24f, 0x1.788d1p-25f, -0x1.f5cbfp-27f, 0x1.4c30dcp-24f, -0x1.4c30e2p-24f,
-        0x1.4c4b9cp-25f, -0x1.bad58p-27f, 0x1.25284cp-24f, -0x1.252852p-24f, 0x1.253eb8p-25f, -0x1.86ccb4p-27f,
-        0x1.02b5e4p-24f, -0x1.02b5e6p-24f, 0x1.02c90cp-25f, -0x1.58e126p-27f, 0x1.c89f58p-25f, -0x1.c89f6p-25f,
-        0x1.c8c3b8p-26f, -0x1.305ae6p-27f, 0x1.92f7c8p-25f, -0x1.92f7dp-25f, 0x1.93163cp-26f, -0x1.0c97a8p-27f,
-        0x1.639e3p-25f, -0x1.639e36p-25f, 0x1.63b932p-26f, -0x1.da106p-28f, 0x1.39d4eap-25f, -0x1.39d4ecp-25f,
-        0x1.39f04ep-26f, -0x1.a25c28p-28f, 0x1.14f49cp-25f, -0x1.14f4ap-25f, 0x1.150bb2p-26f, -0x1.71339p-28f,
-        0x1.e8d324p-26f, -0x1.e8d328p-26f, 0x1.e8f8c4p-27f, -0x1.45d1bp-28f, 0x1.af62e6p-26f, -0x1.af62eap-26f,
-        0x1.af8884p-27f, -0x1.1f88ccp-28f, 0x1.7cb276p-26f, -0x1.7cb27ep-26f, 0x1.7ccfd4p-27f, -0x1.fb7f1p-29f,
-        0x1.4ff6cap-26f, -0x1.4ff6dp-26f, 0x1.50117p-27f, -0x1.bfdd2cp-29f, 0x1.287cbap-26f, -0x1.287ccp-26f,
-        0x1.289312p-27f, -0x1.8b3d12p-29f, 0x1.05a626p-26f, -0x1.05a628p-26f, 0x1.05bfdp-27f, -0x1.5ccbfcp-29f,
-        0x1.cdcf16p-27f, -0x1.cdcf1ep-27f, 0x1.cdf5ap-28f, -0x1.33cfe6p-29f, 0x1.978b82p-27f, -0x1.978b8ap-27f,
-        0x1.97ad14p-28f, -0x1.0fa4aap-29f, 0x1.67a83cp-27f, -0x1.67a844p-27f, 0x1.67c474p-28f, -0x1.df72dap-30f,
-        0x1.3d6576p-27f, -0x1.3d657cp-27f, 0x1.3d7ef4p-28f, -0x1.a71ca8p-30f, 0x1.1819eep-27f, -0x1.1819f4p-27f,
-        0x1.182edap-28f, -0x1.75651cp-30f, 0x1.ee6084p-28f, -0x1.ee6088p-28f, 0x1.ee8a28p-29f, -0x1.498518p-30f,
-        0x1.b44944p-28f, -0x1.b4494cp-28f, 0x1.b46c0ep-29f, -0x1.22ccep-30f, 0x1.81056ep-28f, -0x1.810576p-28f,
-        0x1.812524p-29f, -0x1.00a16p-30f, 0x1.53c7bp-28f, -0x1.53c7b6p-28f, 0x1.53e2dap-29f, -0x1.c4f374p-31f,
-        0x1.2bdad6p-28f, -0x1.2bdadcp-28f, 0x1.2bf1f2p-29f, -0x1.8fba54p-31f, 0x1.089ef6p-28f, -0x1.089efcp-28f,
-        0x1.08b674p-29f, -0x1.60c234p-31f, 0x1.d30deap-29f, -0x1.d30df4p-29f, 0x1.d3318p-30f, -0x1.374ef2p-31f,
-        0x1.9c2c8cp-29f, -0x1.9c2c94p-29f, 0x1.9c4d76p-30f, -0x1.12ba8ap-31f, 0x1.6bbe06p-29f, -0x1.6bbe0ap-29f,
-        0x1.6bdce4p-30f, -0x1.e4e4f8p-32f, 0x1.41005ep-29f, -0x1.410062p-29f, 0x1.411bacp-30f, -0x1.abeaf6p-32f,
-        0x1.1b4866p-29f, -0x1.1b4892p-29f, 0x1.1b283ap-30f, -0x1.85ae5ap-32f, 0x0p+0f, 0x1p-6f,
-        0x0p+0f, 0x0p+0f, 0x1p-5f, 0x1.8p-5f, 0x0p+0f, 0x0p+0f,
-        0x0p+0f, 0x1.8p-5f, 0x0p+0f, 0x0p+0f, 0x1.8p-4f, 0x1.2p-3f,
-        0x0p+0f, 0x0p+0f, 0x1p-6f, 0x1p-4f, 0x0p+0f, 0x0p+0f,
-        0x1.cp-4f, 0x1.4p-3f, 0x0p+0f, 0x0p+0f, 0x1p-5f, 0x1.4p-4f,
-        0x0p+0f, 0x0p+0f, 0x1p-3f, 0x1.6p-3f, 0x0p+0f, 0x0p+0f,
-        0x1p-4f, 0x1.4p-4f, 0x0p+0f, 0x0p+0f, 0x1.8p-3f, 0x1.ep-3f,
-        0x0p+0f, 0x0p+0f, 0x1.ap-3f, 0x1p-2f, 0x0p+0f, 0x0p+0f,
-        0x1.cp-3f, 0x1.1p-2f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1p-6f,
-        0x0p+0f, 0x0p+0f, 0x1p-5f, 0x1.8p-5f, 0x0p+0f, 0x0p+0f,
-        0x0p+0f, 0x1p-5f, 0x0p+0f, 0x0p+0f, 0x1p-4f, 0x1.8p-4f,
-        0x0p+0f, 0x0p+0f, 0x1p-6f, 0x1.8p-5f, 0x0p+0f, 0x0p+0f,
-        0x1.4p-4f, 0x1.cp-4f, 0x0p+0f, 0x0p+0f, 0x1p-4f, 0x1.4p-4f,
-        0x0p+0f, 0x0p+0f, 0x1p-3f, 0x1.4p-3f, 0x0p+0f, 0x0p+0f,
-        0x1.2p-3f, 0x1.6p-3f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1p-6f,
-        0x0p+0f, 0x0p+0f, 0x1p-5f, 0x1.8p-5f, 0x0p+0f, 0x0p+0f,
-        0x0p+0f, 0x1p-5f, 0x0p+0f, 0x0p+0f, 0x1p-4f, 0x1.8p-4f,
-        0x0p+0f, 0x0p+0f, 0x1p-6f, 0x1.8p-5f, 0x0p+0f, 0x0p+0f,
-        0x1.4p-4f, 0x1.cp-4f, 0x0p+0f, 0x0p+0f, 0x1p-4f, 0x1.4p-4f,
-        0x0p+0f, 0x0p+0f, 0x1.8p-4f, 0x1.cp-4f, 0x0p+0f, 0x0p+0f,
-        0x1p-3f, 0x1.4p-3f, 0x0p+0f, 0x0p+0f, 0x1.8p-3f, 0x1.cp-3f,
-        0x0p+0f, 0x0p+0f, 0x1.2p-3f, 0x1.6p-3f, 0x0p+0f, 0x0p+0f,
-        0x1.ap-3f, 0x1.ep-3f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x0p+0f, 0x1p-5f, 0x0p+0f, 0x0p+0f, 0x1p-4f, 0x1.8p-4f,
-        0x0p+0f, 0x0p+0f, 0x1p-6f, 0x1.8p-5f, 0x0p+0f, 0x0p+0f,
-        0x1.4p-4f, 0x1.cp-4f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x1p-3f, 0x1.4p-3f, 0x0p+0f, 0x0p+0f, 0x1.8p-3f, 0x1.cp-3f,
-        0x0p+0f, 0x0p+0f, 0x1.2p-3f, 0x1.6p-3f, 0x0p+0f, 0x0p+0f,
-        0x1.ap-3f, 0x1.ep-3f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1p-6f,
-        0x1p-5f, 0x1.8p-5f, 0x1p-4f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x0p+0f, 0x1p-6f, 0x1p-5f, 0x1.8p-5f, 0x1p-4f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1p-6f, 0x1p-5f, 0x1.8p-5f,
-        0x1p-4f, 0x1.4p-4f, 0x1.8p-4f, 0x1.cp-4f, 0x0p+0f, 0x1.4p-4f,
-        0x1.4p-3f, 0x1.ep-3f, 0x1.4p-2f, 0x1.9p-2f, 0x1.ep-2f, 0x1.18p-1f,
-        0x1p-6f, 0x1.8p-4f, 0x1.6p-3f, 0x1p-2f, 0x1.5p-2f, 0x1.ap-2f,
-        0x1.fp-2f, 0x1.2p-1f, 0x1p-5f, 0x1.cp-4f, 0x1.8p-3f, 0x1.1p-2f,
-        0x1.6p-2f, 0x1.bp-2f, 0x1p-1f, 0x1.28p-1f, 0x1.8p-5f, 0x1p-3f,
-        0x1.ap-3f, 0x1.2p-2f, 0x1.7p-2f, 0x1.cp-2f, 0x1.08p-1f, 0x1.3p-1f,
-        0x1p-4f, 0x1.2p-3f, 0x1.cp-3f, 0x1.3p-2f, 0x1.8p-2f, 0x1.dp-2f,
-        0x1.1p-1f, 0x1.38p-1f, 0x1p-3f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x1.4p-1f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1.48p-1f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f, 0x1.5p-1f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x1.58p-1f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1.6p-1f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f, 0x1p-1f, 0x1p-1f, 0x1p-1f, 0x1p-1f,
-        0x1p-2f, 0x1p-2f, 0x1p-2f, 0x1p-2f, 0x0p+0f, 0x1p-6f,
-        0x1p-5f, 0x1.8p-5f, 0x0p+0f, 0x1p-6f, 0x1p-5f, 0x1.8p-5f,
+    382 lines, a31819312a4ca034fa503b8e51410274a0cd9a0e80b156687c3ea76e9fdaad4c
     },
     .selftest_observation = {
-        { 0x0p+0f, 0x0p+0f, 0x0p+0f },
-        { 0x1p-149f, 0x1p-149f, 0x1p-149f },
-        { 0x1p-126f, 0x1p-126f, 0x1p-126f },
-        { 0x1.0c6f7ap-20f, 0x1.0c6f7ap-20f, 0x1.0c6f7ap-20f },
-        { 0x1.f4p+9f, 0x1.f4p+9f, 0x1.f4p+9f },
-        { -0x1.f4p+9f, -0x1.f4p+9f, -0x1.f4p+9f },
-        { 0x1.e848p+19f, 0x1.e848p+19f, 0x1.e848p+19f },
-        { -0x1.e848p+19f, -0x1.e848p+19f, -0x1.e848p+19f },
-        { 0x1.dcd65p+29f, 0x1.dcd65p+29f, 0x1.dcd65p+29f },
-        { -0x1.dcd65p+29f, -0x1.dcd65p+29f, -0x1.dcd65p+29f },
-        { 0x1.68dabp-5f, -0x1.cc3c5ap-6f, 0x1.689dd6p-5f },
-        { 0x1.8a1664p-3f, -0x1.5279ep-3f, -0x1.09cd92p-4f },
-        { 0x1.dcde7ap-2f, 0x1.776b2p-2f, 0x1.4a1f7ep-2f },
-        { 0x1.d39cf4p-2f, -0x1.e478f2p-1f, -0x1.638f6ap-1f },
-        { 0x1.ced0e4p-1f, -0x1.4b57ccp-1f, -0x1.2f019ap+0f },
-        { 0x1.7bed94p-1f, -0x1.9d49f6p+1f, 0x1.19554ap+2f },
+    16 lines, b7058533aff542e2a2bd5b22965ecaa1d3f3461249d6f1414d23599e6972667e
     },
     .selftest_action = {
-        { 0x1.e84f38p-3f, 0x1.f7d33p-3f, 0x1.03df4cp-2f, 0x1.0c0f7ep-2f },
-        { 0x1.e84f2cp-3f, 0x1.f7d32p-3f, 0x1.03df4ep-2f, 0x1.0c0f92p-2f },
-        { 0x1.e84f28p-3f, 0x1.f7d31ap-3f, 0x1.03df4cp-2f, 0x1.0c0f94p-2f },
-        { 0x1.e84f26p-3f, 0x1.f7d318p-3f, 0x1.03df4cp-2f, 0x1.0c0f94p-2f },
-        { 0x1.e85ae2p-3f, 0x1.f7e2f6p-3f, 0x1.03dfaap-2f, 0x1.0c016ep-2f },
-        { 0x1.e84ef4p-3f, 0x1.f7d2d4p-3f, 0x1.03df4cp-2f, 0x1.0c0fdp-2f },
-        { 0x1.e85ae2p-3f, 0x1.f7e2f6p-3f, 0x1.03dfaap-2f, 0x1.0c016ep-2f },
-        { 0x1.e84ef4p-3f, 0x1.f7d2d4p-3f, 0x1.03df4cp-2f, 0x1.0c0fdp-2f },
-        { 0x1.e85ae2p-3f, 0x1.f7e2f6p-3f, 0x1.03dfaap-2f, 0x1.0c016ep-2f },
-        { 0x1.e84ef4p-3f, 0x1.f7d2d4p-3f, 0x1.03df4cp-2f, 0x1.0c0fdp-2f },
-        { 0x1.e85a56p-3f, 0x1.f7e238p-3f, 0x1.03dfa4p-2f, 0x1.0c0212p-2f },
-        { 0x1.e853bcp-3f, 0x1.f7d94p-3f, 0x1.03df66p-2f, 0x1.0c0a1ep-2f },
-        { 0x1.e859dep-3f, 0x1.f7e19p-3f, 0x1.03df9ep-2f, 0x1.0c02aep-2f },
-        { 0x1.e8504cp-3f, 0x1.f7d4a2p-3f, 0x1.03df5p-2f, 0x1.0c0e3ap-2f },
-        { 0x1.e85084p-3f, 0x1.f7d4ecp-3f, 0x1.03df5p-2f, 0x1.0c0dfap-2f },
-        { 0x1.e85756p-3f, 0x1.f7de26p-3f, 0x1.03df8cp-2f, 0x1.0c05b8p-2f },
+    16 lines, 72ba1b6781b8b4b8a6fafe5769a2484f79091c1699710e6a2e17d7ab0a07e21f
     },
     .crc32 = 0xE1CCF891u,
 };

@@ -4,8 +4,7 @@
 #ifndef NEUROFLIGHT_POLICY_H
 #define NEUROFLIGHT_POLICY_H
 
-#include <stddef.h>
-#include <stdint.h>
+...
 
 #define POLICY_OBSERVATION_COUNT 3
 #define POLICY_ACTION_COUNT 4
@@ -29,77 +28,9 @@ struct policy {
     _Alignas(8) float scratch[POLICY_SCRATCH_COUNT];
 };
 
-struct policy_blob_header {
-    uint32_t magic; /* NFPB, in that order in memory */
-    uint16_t layout; /* version of this layout */
-    uint16_t header_bytes; /* bytes: where the weights begin, a multiple of 8 */
-    uint32_t total_bytes; /* bytes: of the whole blob, CRC included */
-    uint32_t sequence; /* 0: as built; of valid slots the newest is flown */
-    uint32_t architecture_hash; /* same: weights may be exchanged */
-    uint32_t filters_hash; /* CRC-32 of the gyro filters' JSON list */
-    uint32_t control_rate_hz; /* Hz: of policy_step, at least 1 */
-    uint16_t observation_count; /* floats: of an observation, at least 1 */
-    uint16_t action_count; /* floats: of an action: the motors, at least 1 */
-    uint32_t weight_offset; /* bytes: of the weights from the blob's begin */
-    uint32_t weight_count; /* floats: of the table, tables of functions included */
-    uint32_t selftest_offset; /* bytes: of the observations; the actions follow them */
-    uint16_t selftest_count; /* rows: of observations and of actions, at least 1 */
-    uint16_t selftest_steps; /* rows: from one policy_init to the next; divides the count */
-    uint32_t observation_term_count; /* used entries of the next three, at least 1 */
-    uint8_t observation_blocks[32]; /* codes in order, then 0 */
-    uint8_t observation_ages[32]; /* steps: of each term, then 0 */
-    float observation_gains[32]; /* of each low-pass, 0: none */
-    char aircraft[32]; /* ASCII, then 0; a name may fill it */
-    uint8_t aircraft_sha256[32]; /* of the aircraft trained for */
-    uint8_t policy_sha256[32]; /* of the ONNX file */
-    float idle; /* motor fraction at zero thrust, 0 to 0.5 */
-    uint32_t mix; /* how outputs and throttle become motor fractions: enum nf_mix */
-    uint32_t model_delay; /* steps: from output to rotor; 0: there is no model */
-    float model_rotor[8]; /* rad/s, 1: a, b, c, rise, fall, gain, loss, correction */
-    float model_turn[24]; /* s/rad: roll, pitch, yaw, a value a motor */
-    float model_reaction[24]; /* 1: likewise */
-    uint8_t build[8]; /* of the image that it came with; zeros: for any of its architecture */
-};
-_Static_assert(offsetof(struct policy_blob_header, magic) == 0, "magic");
-_Static_assert(offsetof(struct policy_blob_header, layout) == 4, "layout");
-_Static_assert(offsetof(struct policy_blob_header, header_bytes) == 6, "header_bytes");
-_Static_assert(offsetof(struct policy_blob_header, total_bytes) == 8, "total_bytes");
-_Static_assert(offsetof(struct policy_blob_header, sequence) == 12, "sequence");
-_Static_assert(offsetof(struct policy_blob_header, architecture_hash) == 16, "architecture_hash");
-_Static_assert(offsetof(struct policy_blob_header, filters_hash) == 20, "filters_hash");
-_Static_assert(offsetof(struct policy_blob_header, control_rate_hz) == 24, "control_rate_hz");
-_Static_assert(offsetof(struct policy_blob_header, observation_count) == 28, "observation_count");
-_Static_assert(offsetof(struct policy_blob_header, action_count) == 30, "action_count");
-_Static_assert(offsetof(struct policy_blob_header, weight_offset) == 32, "weight_offset");
-_Static_assert(offsetof(struct policy_blob_header, weight_count) == 36, "weight_count");
-_Static_assert(offsetof(struct policy_blob_header, selftest_offset) == 40, "selftest_offset");
-_Static_assert(offsetof(struct policy_blob_header, selftest_count) == 44, "selftest_count");
-_Static_assert(offsetof(struct policy_blob_header, selftest_steps) == 46, "selftest_steps");
-_Static_assert(offsetof(struct policy_blob_header, observation_term_count) == 48, "observation_term_count");
-_Static_assert(offsetof(struct policy_blob_header, observation_blocks) == 52, "observation_blocks");
-_Static_assert(offsetof(struct policy_blob_header, observation_ages) == 84, "observation_ages");
-_Static_assert(offsetof(struct policy_blob_header, observation_gains) == 116, "observation_gains");
-_Static_assert(offsetof(struct policy_blob_header, aircraft) == 244, "aircraft");
-_Static_assert(offsetof(struct policy_blob_header, aircraft_sha256) == 276, "aircraft_sha256");
-_Static_assert(offsetof(struct policy_blob_header, policy_sha256) == 308, "policy_sha256");
-_Static_assert(offsetof(struct policy_blob_header, idle) == 340, "idle");
-_Static_assert(offsetof(struct policy_blob_header, mix) == 344, "mix");
-_Static_assert(offsetof(struct policy_blob_header, model_delay) == 348, "model_delay");
-_Static_assert(offsetof(struct policy_blob_header, model_rotor) == 352, "model_rotor");
-_Static_assert(offsetof(struct policy_blob_header, model_turn) == 384, "model_turn");
-_Static_assert(offsetof(struct policy_blob_header, model_reaction) == 480, "model_reaction");
-_Static_assert(offsetof(struct policy_blob_header, build) == 576, "build");
-_Static_assert(sizeof(struct policy_blob_header) == 584, "policy_blob_header");
+...
 
-/* The policy in the layout that a policy slot holds, CRC-32 over all before it at the end. */
-struct policy_blob {
-    struct policy_blob_header header;
-    float weights[POLICY_WEIGHT_COUNT];
-    float selftest_observation[POLICY_SELFTEST_COUNT][POLICY_OBSERVATION_COUNT];
-    float selftest_action[POLICY_SELFTEST_COUNT][POLICY_ACTION_COUNT];
-    uint32_t crc32;
-};
-extern const struct policy_blob policy_blob;
+...
 
 /* What the observation is made of, in order: rate_error.
  * The code of each term's block, its age in control steps, and the gain a of its low-pass y += a (x - y); 0: none. */
@@ -122,4 +53,4 @@ void policy_init(struct policy *p, const float *weights);
 void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_COUNT],
                  float action[POLICY_ACTION_COUNT]);
 
-#endif
+...

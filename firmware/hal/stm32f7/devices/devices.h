@@ -1,0 +1,77 @@
+/* The devices on the board's lines, each for hal.c: set up once, then at work for struct hal or the handlers. */
+#pragma once
+
+#include "hal/stm32f7/peripherals/uart_line.h"
+#include "port/hal.h"
+
+/* --- Motors 1..6 by DShot: DMA writes a bit's pulse widths to the timers at each bit's begin. --- */
+/* Timers running, no frame yet. `protocol`: NF_MOTOR_PROTOCOL_...; `count`: motors in use, at most
+ * BOARD_MOTOR_COUNT; the lines of the others stay low. Once, after motor_pins_start. */
+void motors_run(uint32_t protocol, size_t count);
+
+/* As motors_write of struct hal: sends one frame to every motor in use (26.7 us with DShot600); missing
+ * values send a stop. Dropped while the last frame is still on the wire, and before motors_run; at the fourth write
+ * in a row that it would be, the output has stuck and is set up anew. From the sample handler or the tick only. */
+void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry);
+
+/* As motor_restarts of struct hal: how often outputs that had stuck were set up anew since boot. */
+uint32_t motors_restarts(void *context);
+
+/* --- The gyro chip on SPI1, an ICM20602 or one of its kin: data-ready at 8 kHz, every n-th edge read by DMA. --- */
+struct gyro_found {
+	enum board_alignment alignment; /* how it is turned on this board */
+	enum gyro_chip kind;
+	uint8_t identity; /* WHO_AM_I, as it was read: also of a chip that is not known; 0xFF where none answers */
+};
+
+/* Identifies and configures the chip (takes 0.3 s). False: absent, unknown, or it does not keep what is written to it;
+ * `found` is then left alone but for the identity that was read. Needs the clocks at full speed. */
+bool gyro_start(struct gyro_found *found);
+
+/* From now on `handlers->sample` gets `rate_hz` samples a second (one of NF_GYRO_RATES_HZ), from interrupts, and
+ * `handlers->gyro_silent` is called whenever NF_GYRO_BAD_MS pass without one: also where gyro_start failed. */
+void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz);
+
+/* Samples taken so far, wraps at 2^32. */
+uint32_t gyro_samples(void);
+
+/* A millisecond has passed. From the tick, which shares the samples' priority. */
+void gyro_tick(void);
+
+/* --- The receiver's line: SBUS (inverted, 100 kbaud, 8E2) or CRSF (416,666 baud, 8N1). --- */
+/* `protocol`: NF_RECEIVER_PROTOCOL_...; a protocol that does not use the line leaves it off. */
+void receiver_line_start(uint32_t protocol);
+
+/* As receiver_read of struct hal: bytes since the last call, at most `capacity`. SBUS has no checksum, so there a
+ * parity or framing error discards the bytes read with it and the rest of its frame. From the sample handler only. */
+size_t receiver_line_read(void *context, uint8_t *bytes, size_t capacity);
+
+/* --- Battery voltage and current at their pins: ADC1 converts both continuously, DMA stores the last conversions. --- */
+void power_start(void);
+
+/* As power_read of struct hal: the mean of the last 1.2 ms; invalid where conversions have not filled that since the
+ * last call. */
+void power_read(void *context, struct power_sample *power);
+
+/* --- MSP's ports on UARTs, 8N1. Background only. --- */
+/* Port 0..NF_MSP_PORT_COUNT - 1 begins. baud: one of NF_MSP_BAUDS. Bytes that came before are lost. */
+void msp_uart_start(unsigned port, uint32_t baud);
+
+/* The line of a port that does not begin, for something else; it is started at `baud`. */
+struct uart_line *msp_uart_lend(unsigned port, uint32_t baud);
+
+/* Serves what has come by the ports that have begun since the last call, and sends what is said unasked; waits for
+ * nothing. */
+void msp_uart_serve(const struct hal_handlers *handlers);
+
+/* Sends what is left to be sent, and takes no more requests. Returns whether a bit of it is not yet on the line. */
+bool msp_uart_finish(void);
+
+/* --- A log on the UART of MSP's second port, where the pilot has set it so: what it is written to is somebody
+ * else's matter. Background only. --- */
+/* The line, 8N1, at one of NF_LOG_BAUDS. MSP must not have that port. */
+const struct log_device *log_uart_start(uint32_t baud);
+
+/* --- Logs on the SD card of SPI3, by DMA and without an interrupt. Background only. --- */
+/* Pins and SPI are set up; looking for a card is left to the device's step. */
+const struct log_device *card_spi_start(void);
