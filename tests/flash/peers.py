@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -110,8 +111,10 @@ class HostBoard:
 
     def close(self) -> None:
         self._stopping = True
-        self._process.terminate()
-        self._thread.join(timeout=START_S)
+        end = time.monotonic() + START_S
+        while self._thread.is_alive() and time.monotonic() < end:
+            self._process.terminate()  # the one that may just have been started, too
+            self._thread.join(timeout=0.05)
 
 
 @contextmanager
