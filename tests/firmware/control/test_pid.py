@@ -170,6 +170,32 @@ def test_the_integral_is_clamped_and_unfiltered_slopes_pass_when_gains_are_such(
     assert got.tobytes() == flown(peer, setpoint, rate).tobytes()
 
 
+def test_the_throttle_leaves_p_alone_and_a_reset_leaves_no_slope(scripted: Any) -> None:
+    # The twin's PID is this same C: what both have wrong, only its own other outputs show.
+    settings = PidSettings(
+        gains=((2.0, 0.0, 0.0), (1.0, 0.0, 0.05), (1.0, 0.0, 0.0)),
+        derivative_cutoff_hz=50.0,
+        idle=0.0,
+        tpa_rate=0.4,
+        tpa_breakpoint=0.5,
+    )
+    kept = built(scripted, settings, mixer(load_aircraft("nf1")))
+    pid = scripted.new("struct pid *")
+    setpoint, rate = flight(np.random.default_rng(6))
+    still = np.zeros((1, 3), np.float32)
+
+    def first(throttle: float) -> bytes:
+        return stepped(scripted, pid, setpoint[:1], still, throttle).tobytes()
+
+    scripted.lib.pid_init(pid, kept, factors(scripted))
+    fresh = first(0.0)
+    moved = [stepped(scripted, pid, setpoint[:200], rate[:200], throttle) for throttle in (0.0, 1.0)]
+    assert moved[0].tobytes() != moved[1].tobytes(), "the throttle takes from D"
+    for throttle in (0.0, 1.0):
+        scripted.lib.pid_reset(pid)
+        assert first(throttle) == fresh
+
+
 def test_a_pid_of_other_motors_is_refused_when_rendered() -> None:
     table = pid_table(load_aircraft("hexa"))
     with pytest.raises(ValueError, match="6 motors, expected 4"):
