@@ -51,12 +51,6 @@ PYTHON   :=
 TORCH    :=
 READY    := $(VENV)/.$(EXTRA)$(TORCH:%=-%)
 
-ifneq ($(call asked,flash),)
-  ifeq ($(PORT),)
-    $(error PORT is missing; run: make flash PORT=/dev/ttyUSB0, or whatever the device is called)
-  endif
-endif
-
 # What an image is built of: as the caller says. Who says nothing and wants to fly or flash gets what was built last,
 # not the NF1's network on another aircraft; the first time, and of `make firmware`, the NF1's.
 said      = $(filter-out file undefined default,$(origin $(1)))
@@ -83,8 +77,8 @@ arm: # the ARM compiler and llvm-mca, from the system's packages where that is a
 firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [AIRCRAFT=nf1|mine.toml] [POLICY=path.onnx] [BUILD="--no-pid"]
 	@$(RUN) image build --target $(TARGET) $(OF) $(BRIEF) $(BUILD)
 
-flash: firmware ## the image, as built last, onto a board that runs Neuroflight: PORT=/dev/ttyUSB0 [ARGS="--dry-run"]
-	@$(RUN) board flash build/$(TARGET)/neuroflight.nfi --port "$(PORT)" $(ARGS)
+flash: firmware ## the image, as built last, onto a board that runs Neuroflight: [PORT=/dev/ttyUSB0] [ARGS="--dry-run"]
+	@$(RUN) board flash build/$(TARGET)/neuroflight.nfi $(if $(PORT),--port "$(PORT)") $(ARGS)
 
 host: $(READY) ## the same firmware as a program of this machine
 	@$(RUN) image build --target HOST $(OF) $(BRIEF) $(BUILD)

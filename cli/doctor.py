@@ -10,10 +10,14 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.extras import EXTRAS, ROOT, install_command
-from neuroflight.cli.options import PORT_VARIABLE, Device, Json, devices
-from neuroflight.cli.requests import Request
+from neuroflight.cli.options import PORT_VARIABLE, Json
+from neuroflight.cli.requests import Option, Request
+
+if TYPE_CHECKING:
+    from neuroflight.flash.usb.devices import SerialDevice
 
 SYSTEM = "sudo apt-get install {}"
 PROGRAMS = {  # what needs it, the Debian package that has it
@@ -33,7 +37,6 @@ BUILDS = {  # what makes it
 }
 GAMEPAD = {"gamepad": ("pygame",)}  # stands beside the others
 PATH = f"{os.environ.get('PATH', os.defpath)}:/sbin:/usr/sbin"
-DFU = ("0483", "df11")  # USB vendor and product of the boot loader in the chip's ROM
 
 
 @dataclass(frozen=True)
@@ -51,13 +54,20 @@ class Finding:
 class Doctor(Request):
     """A request for the state of this computer: installation, ports, missing parts."""
 
+    udev: Annotated[
+        bool, Option(None, "print the rules for udev that let this computer's user open boards, and no more")
+    ] = False
     json: Json = False
 
     def run(self) -> int:
-        """Print the state. Returns 0."""
+        """Print the state, or the rules for udev. Returns 0."""
         from neuroflight.cli.report import print_facts, print_json
+        from neuroflight.flash.usb.rules import udev_rules
 
-        found = [*_extras(), *_programs(), *_builds(), *_ports(), *_boot_loaders()]
+        if self.udev:
+            print_json({"rules": udev_rules()}) if self.json else print(udev_rules(), end="")
+            return 0
+        found = [*_extras(), *_programs(), *_builds(), *_ports(), *_boards()]
         if self.json:
             print_json({"python": sys.version.split()[0], "found": [asdict(one) for one in found]})
             return 0
@@ -98,17 +108,28 @@ def _builds() -> Iterator[Finding]:
 
 
 def _ports() -> Iterator[Finding]:
+    from neuroflight.flash.usb.devices import serial_devices
+    from neuroflight.flash.usb.rules import INSTALL
+
     if given := os.environ.get(PORT_VARIABLE, ""):
         yield Finding("ports", given, True, f"by {PORT_VARIABLE}")
-    found = devices()
+    found = serial_devices()
     for device in found:
         problem, mend = _refused(Path(device.name))
-        yield Finding("ports", device.name, not problem, problem or _told(device), mend)
+        yield Finding(
+            "ports",
+            device.name,
+            not problem,
+            problem or _told(device),
+            INSTALL if mend and device.board else mend,
+        )
     if not found:
         yield Finding("ports", "none", True, "no serial device is there")
 
 
-def _told(device: Device) -> str:
+def _told(device: SerialDevice) -> str:
+    if device.board:
+        return f"a board with Neuroflight, {device.text}"
     return f"{device.text or 'a serial device'}, on USB" if device.usb else "built in; --port has to name it"
 
 
@@ -134,17 +155,14 @@ def _group(number: int) -> str:
         return str(number)
 
 
-def _boot_loaders() -> Iterator[Finding]:
-    """Yield boards whose chip waits in the boot loader of its ROM, on Linux."""
-    for folder in sorted(Path("/sys/bus/usb/devices").glob("*")):
-        try:
-            texts = {name: (folder / name).read_text().strip() for name in ("idVendor", "idProduct")}
-            bus, number = ((folder / name).read_text().strip() for name in ("busnum", "devnum"))
-        except OSError:
-            continue
-        if (texts["idVendor"], texts["idProduct"]) == DFU:
-            node = Path(f"/dev/bus/usb/{int(bus):03}/{int(number):03}")
-            good = os.access(node, os.R_OK | os.W_OK)
-            text = "a board in the boot loader of its ROM" if good else "this user may not open it"
-            mend = "" if good else f"{SYSTEM.format('dfu-util')} brings the udev rule, then plug it in anew"
-            yield Finding("USB boot loaders", str(node), good, text, mend)
+def _boards() -> Iterator[Finding]:
+    """Yield boards on USB that are no serial port now."""
+    from neuroflight.flash.usb.devices import usb_devices
+    from neuroflight.flash.usb.rules import INSTALL
+
+    for device in usb_devices():
+        text = "in the boot loader of its ROM" if device.boot_loader else "shows its card as a disk"
+        if device.boot_loader and not device.allowed:
+            text = f"{text}; this user may not open it"
+        good = device.allowed or not device.boot_loader  # the system opens a disk for its user
+        yield Finding("boards", str(device.node), good, text, "" if good else INSTALL)

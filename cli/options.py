@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 from neuroflight.cli.requests import Option, Request
 from neuroflight.toolchain.errors import LinkError, NeuroflightError
 
 if TYPE_CHECKING:
+    from neuroflight.flash.usb.devices import UsbDevice
     from neuroflight.sim.blackbox.flight import Part
 
 PORT_HELP = (
     "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB0; default: NEUROFLIGHT_PORT, or the "
-    "only USB serial device"
+    "only board or serial device on USB"
 )
 PORT_VARIABLE = "NEUROFLIGHT_PORT"
 ON = ("library", "host", "board", "betaflight")  # what flies: the core in this process, a program, an image
@@ -43,40 +43,41 @@ HOST = Machine("host")
 On = Annotated[Machine, Option(None, f"what flies; default host. {ON_HELP}", choices=ON)]
 
 
-class Device(NamedTuple):
-    """A serial port of this computer."""
-
-    name: str
-    usb: bool
-    text: str  # what it says of itself
-
-
 def find_port() -> str:
-    """Return NEUROFLIGHT_PORT or the only device, and tell which. Raises LinkError where there are several.
+    """Return NEUROFLIGHT_PORT, the only board on USB or the only USB serial device, and tell which.
 
-    Devices on a USB are taken alone: a port that is built in tells nothing of what hangs on it.
+    Raises LinkError where there are several, or none. A port that is built in tells nothing of what hangs
+    on it.
     """
+    from neuroflight.flash.usb.devices import serial_devices, usb_devices
+
     if given := os.environ.get(PORT_VARIABLE, ""):
         return told(given, PORT_VARIABLE)
-    there = [device.name for device in devices() if device.usb]
+    there = [device for device in serial_devices() if device.usb]
+    boards = [device for device in there if device.board]
+    if len(boards) == 1:
+        return told(boards[0].name, f"the only board on USB: {boards[0].text}")
     if len(there) == 1:
-        return told(there[0], "the only USB serial device")
-    found = f"got several: {', '.join(there)}" if there else "no USB serial device is there"
+        return told(there[0].name, "the only USB serial device")
+    if there:
+        found = f"got several: {', '.join(device.name for device in boards or there)}"
+    else:
+        found = "no USB serial device is there"
+        found += "".join(f"; {hint}" for hint in sorted({_hint(device) for device in usb_devices()}))
     raise LinkError(f"--port is missing, and {found}; name one with --port or {PORT_VARIABLE}")
+
+
+def _hint(device: UsbDevice) -> str:
+    """Return how a board that is no serial port now becomes one."""
+    if device.boot_loader:
+        return "a board waits in the boot loader of its ROM: `neuroflight board rescue`, or plug it in anew"
+    return "a board shows its card as a disk: eject that and plug the board in anew"
 
 
 def told(port: str, why: str) -> str:
     """Return the port, after telling the user that it was chosen."""
     print(f"neuroflight: --port {port}, {why}", file=sys.stderr)
     return port
-
-
-def devices() -> Sequence[Device]:
-    """Return the serial ports of this computer."""
-    from serial.tools.list_ports import comports
-
-    found = sorted(comports(), key=lambda port: port.device)
-    return [Device(port.device, port.vid is not None, port.description or "") for port in found]
 
 
 def picture(text: str) -> Option:

@@ -41,6 +41,7 @@ ROOMS = (
     "flash/board",
     "flash/settings",
     "flash/betaflight",
+    "flash/usb",
     "flash/rom",
     "flash/policy",
     "flash/image",

@@ -207,10 +207,11 @@ def _tell(args: Flash, facts: dict[str, object], done: Installed | None) -> int:
 # --- What the plan is -------------------------------------------------------------------------------
 def _rows(args: Flash, file: ImageFile, plan: InstallPlan) -> list[tuple[str, str]]:
     from neuroflight.flash.image.files import bank_name
+    from neuroflight.flash.link.transport import line_baud
 
     board, header = plan.board, plan.image.header
-    baud = _baud(args.port)
-    line = "a line of unknown speed" if baud is None else f"{baud} baud"
+    baud = line_baud(args.port)
+    line = "USB or TCP" if baud is None else f"a line of {baud} baud"
     rows = [
         ("board", f"{board.target}, UID {board.uid}, on {board.port}"),
         (
@@ -251,6 +252,8 @@ def _bank_text(bank: Bank) -> str:
 
 def _facts(args: Flash, file: ImageFile, plan: InstallPlan) -> dict[str, object]:
     """Return the facts of the plan that --json prints."""
+    from neuroflight.flash.link.transport import line_baud
+
     board, header, now = plan.board, plan.image.header, plan.board.banks.now
     return {
         "port": board.port,
@@ -273,7 +276,7 @@ def _facts(args: Flash, file: ImageFile, plan: InstallPlan) -> dict[str, object]
             "bank": plan.bank,
             "sectors": list(plan.sectors),
             "frames": plan.frames,
-            "seconds": round(plan.seconds(_baud(args.port)), 1),
+            "seconds": round(plan.seconds(line_baud(args.port)), 1),
             "policy": None if plan.policy is None else _policy_facts(plan, plan.policy),
             "keep_policy": args.keep_policy,
             "same_build": plan.same_build,
@@ -291,13 +294,6 @@ def _policy_facts(plan: InstallPlan, policy: Policy) -> dict[str, object]:
         "sha256": policy.sha256,
         "bytes": policy.size,
     }
-
-
-def _baud(port: str) -> int | None:
-    from neuroflight.flash.link.transport import SerialPort, parse_port
-
-    parsed = parse_port(port)
-    return parsed.baud if isinstance(parsed, SerialPort) else None
 
 
 # --- What goes on meanwhile -------------------------------------------------------------------------

@@ -256,13 +256,11 @@ def _carry_out(args: Swap, client: Client, candidate: Candidate, policies: Polic
 
 def _plan(args: Swap, candidate: Candidate, policies: Policies, held: Slot | None) -> dict[str, Any]:
     """Return the plan as JSON data; `flown` tells if the board flies the policy now."""
-    from neuroflight.flash.link.transport import SerialPort, parse_port
+    from neuroflight.flash.link.transport import line_baud
     from neuroflight.flash.policy import swap as swaps
     from neuroflight.flash.policy.slots import NAMES
 
-    port, slot = parse_port(args.port), swaps.target(policies)
-    baud = port.baud if isinstance(port, SerialPort) else None
-    size = candidate.size
+    baud, slot, size = line_baud(args.port), swaps.target(policies), candidate.size
     return {
         "file": str(args.policy),
         "network": candidate.network,

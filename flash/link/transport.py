@@ -95,6 +95,18 @@ def open_transport(text: str, parity: str = "N") -> Transport:
     return TcpTransport(port) if isinstance(port, TcpPort) else SerialTransport(port, parity)
 
 
+def line_baud(text: str) -> int | None:
+    """Return the speed of the serial line that `text` names; None where a baud rate limits nothing: TCP, USB.
+
+    A serial port by USB's own class of modems (CDC ACM), which Linux calls ttyACM, has no line behind it.
+    Raises LinkError.
+    """
+    port = parse_port(text)
+    if isinstance(port, TcpPort) or os.path.realpath(port.device).startswith("/dev/ttyACM"):
+        return None
+    return port.baud
+
+
 def _parse_tcp(text: str, rest: str) -> TcpPort:
     host, _, number = rest.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
@@ -235,12 +247,13 @@ def _is_pseudo_terminal(device: str) -> bool:
 
 
 _PLUG = "plug the board in and check the device's name"
+_PERMIT = "`neuroflight doctor` says how to get it"
 _OPEN_FAILURES = {
     errno.ENOENT: ("there is no such device", _PLUG),
     errno.ENODEV: ("there is no such device", _PLUG),
     errno.ENXIO: ("there is no such device", _PLUG),
-    errno.EACCES: ("permission denied", "join the group that owns the device, often dialout"),
-    errno.EPERM: ("permission denied", "join the group that owns the device, often dialout"),
+    errno.EACCES: ("permission denied", _PERMIT),
+    errno.EPERM: ("permission denied", _PERMIT),
     errno.EBUSY: ("the device is in use", "close the other program that has it open"),
     errno.EAGAIN: ("the device is in use", "close the other program that has it open"),
 }

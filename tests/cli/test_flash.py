@@ -282,12 +282,6 @@ def test_the_rom_takes_no_nfi(nfi: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "there is no such device" in capsys.readouterr().err
 
 
-def test_make_flash_asks_for_the_port_before_it_builds(tmp_path: Path) -> None:
-    done = subprocess.run(["make", "-C", str(ROOT), "flash", "PORT="], capture_output=True, text=True)
-    assert done.returncode == 2 and done.stdout.count("\n") <= 2
-    assert "PORT is missing; run: make flash PORT=/dev/ttyUSB0" in done.stderr
-
-
 # --- Refusals: nothing is written -----------------------------------------------------------------------
 @pytest.fixture
 def refused(flash: Run, reviving_host: HostBoard, tmp_path: Path) -> Callable[..., str]:
