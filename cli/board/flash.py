@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.board.checked import Unchecked, checked_image
+from neuroflight.cli.board.dfu import find_flash_port
 from neuroflight.cli.board.image_aircraft import image_aircraft
 from neuroflight.cli.board.state import OnPort
-from neuroflight.cli.options import Json
+from neuroflight.cli.options import PORT_HELP, Json
 from neuroflight.cli.progress import step_bars
 from neuroflight.cli.report import print_facts, print_json
 from neuroflight.cli.requests import Argument, Option
@@ -40,8 +41,17 @@ WORDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Flash(OnPort):
-    """An image for a board that runs Neuroflight."""
+    """An image for a board that runs Neuroflight; the first one, by USB, for any that can take it."""
 
+    port: Annotated[
+        str,
+        Option(
+            "PORT",
+            f"{PORT_HELP}, or dfu: a board in its ROM's USB boot loader",
+            recorded=False,
+            find=find_flash_port,
+        ),
+    ]
     image: Annotated[
         Path,
         Argument(
@@ -69,6 +79,7 @@ class Flash(OnPort):
     no_reboot: Annotated[
         bool, Option(None, "do not start the board anew: until somebody does it flies what it flew")
     ] = False
+    yes: Annotated[bool, Option(None, "replace a firmware of another make without asking")] = False
     json: Json = False
 
     def run(self) -> int:
@@ -76,6 +87,10 @@ class Flash(OnPort):
         of one line that says what was not written."""
         if self.backup is not None and self.no_backup:
             raise NeuroflightError("--backup and --no-backup: give one of them; nothing was written")
+        with _nothing_written():
+            first = _is_first(self.port)
+        if first:
+            return self._install_first()
         under_way = _UnderWay()
         with _sigterm_stops():
             try:
@@ -84,6 +99,35 @@ class Flash(OnPort):
                 by = "SIGTERM" if isinstance(stop, _Terminated) else "Ctrl-C"
                 print(f"neuroflight: stopped by {by}: {under_way.consequence}", file=sys.stderr)
                 return 143 if isinstance(stop, _Terminated) else 130
+
+    def _install_first(self) -> int:
+        """Install by the ROM's USB boot loader, as `board rescue` does."""
+        from neuroflight.cli.board.rescue import Rescue
+
+        because = "got it for a board without Neuroflight, which is written whole; leave it out"
+        self.refuse("force", "keep_policy", "backup", "other_aircraft", "no_reboot", because=because)
+        image = self.image.with_suffix(".hex") if self.image.suffix == ".nfi" else self.image
+        return Rescue(
+            port=self.port,
+            image=image,
+            dry_run=self.dry_run,
+            unchecked=self.unchecked,
+            yes=self.yes,
+            json=self.json,
+        ).run()
+
+
+def _is_first(port: str) -> bool:
+    """Return whether the board at `port` runs no Neuroflight that takes an image over MSP: it is in its ROM's
+    USB boot loader, or has a firmware of another make."""
+    from neuroflight.cli.board.state import connect
+    from neuroflight.flash.board.info import is_ours
+    from neuroflight.flash.rom.dfu_board import is_dfu, runs_firmware
+
+    if is_dfu(port) or not runs_firmware(port):
+        return is_dfu(port)
+    with connect(port) as client:
+        return not is_ours(client)
 
 
 class _UnderWay:

@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.board.checked import Unchecked, checked_image
-from neuroflight.cli.options import Json, find_port
+from neuroflight.cli.board.dfu import find_rescue_port
+from neuroflight.cli.board.state import connect
+from neuroflight.cli.options import Json
 from neuroflight.cli.progress import step_bars
+from neuroflight.cli.questions import confirm
 from neuroflight.cli.report import Account
 from neuroflight.cli.requests import Argument, Option, Request
 from neuroflight.toolchain.contract import (
@@ -23,13 +26,13 @@ from neuroflight.toolchain.contract import (
 from neuroflight.toolchain.errors import LinkError, PolicyError
 
 if TYPE_CHECKING:
-    from neuroflight.flash.rom.client import RomClient
-    from neuroflight.flash.rom.rescue import FlashPlan, Progress
+    from neuroflight.flash.rom.rescue import FlashPlan, Progress, Rom
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.hex"
 BAUD_MIN, BAUD_MAX = 1200, 115_200  # AN3155: what the ROM measures
 WORDS = {"erase": "erasing", "write": "writing", "verify": "comparing"}
 RUNS = "start  the image runs; let BOOT go, and plug the board out and in once"
+BACK = "start  the image runs, and the board is back: {}"
 WAITS = "start  let BOOT go, and plug the board out and in: the image starts then"
 # The brown-out level is left to another tool: the same word of the chip can lock it.
 BROWN_OUT = (
@@ -52,9 +55,11 @@ class Rescue(Request):
         str,
         Option(
             "PORT",
-            "the adapter on UART1, such as /dev/ttyUSB0 or serial:/dev/ttyUSB0:57600; tcp:HOST:PORT; "
-            "default: NEUROFLIGHT_PORT, or the only USB serial device",
-            find=find_port,
+            "dfu: the board in its ROM's USB boot loader, dfu:BUS-PORT where there are several; a board's "
+            "USB serial port: its firmware, of any make, is asked to start that; or the adapter on UART1, "
+            "such as /dev/ttyUSB0, serial:/dev/ttyUSB0:57600, tcp:HOST:PORT; default: NEUROFLIGHT_PORT, or "
+            "the only one that is there",
+            find=find_rescue_port,
         ),
     ]
     image: Annotated[
@@ -67,12 +72,14 @@ class Rescue(Request):
     unchecked: Unchecked = False
     all: Annotated[bool, Option(None, "erase bank B as well: no other image is left to fall back to")] = False
     verify_only: Annotated[bool, Option(None, "compare flash with the image, write nothing")] = False
+    yes: Annotated[bool, Option(None, "replace a firmware of another make without asking")] = False
     json: Json = False
 
     def run(self) -> int:
         """Flash by the ROM. Returns 0; raises LinkError of one line that says what was not written."""
         from neuroflight.flash.link.transport import open_transport
         from neuroflight.flash.rom.client import RomClient
+        from neuroflight.flash.rom.dfu_board import board_ports, is_dfu, open_dfu, port_back
         from neuroflight.flash.rom.image_check import check_image
         from neuroflight.flash.rom.rescue import plan_flash, start, verify
         from neuroflight.flash.rom.segments import read_segments
@@ -89,10 +96,12 @@ class Rescue(Request):
         except PolicyError as error:
             raise PolicyError(f"{error}; nothing was written") from error
         plan = plan_flash(segments, erase_bank_b=self.all)
-        with RomClient(open_transport(self.port, "E")) as client:
+        told = Account(self.json)
+        port = self._enter(told)
+        before = board_ports()
+        with open_dfu(port) if is_dfu(port) else RomClient(open_transport(port, "E")) as client:
             chip = client.connect()
-            told = Account(self.json)
-            told.say(f"chip   0x{chip.product_id:03X}, boot loader in its ROM, on {client.name}")
+            told.say(f"chip   {chip}, boot loader in its ROM, on {client.name}")
             _tell(told, f"{self.image}, {facts}", plan, baud, check)
             document = {
                 "chip": chip.product_id,
@@ -112,15 +121,46 @@ class Rescue(Request):
                 else:
                     _install(client, plan, progress)
             if self.verify_only:
+                if port != self.port:  # a firmware ran, and does again
+                    start(client)
                 return told.end(document, f"equal  {plan.bytes:,} bytes; nothing was written")
             repeated = f", {client.repeated} commands repeated" if client.repeated else ""
             told.say(f"done   {plan.bytes:,} bytes written and read back equal{repeated}")
             document["started"] = start(client)
-        told.say(RUNS if document["started"] else WAITS)
+        back = port_back(before) if is_dfu(port) and document["started"] else None
+        told.say(BACK.format(back) if back else RUNS if document["started"] else WAITS)
         return told.end(document, BROWN_OUT)
 
+    def _enter(self, told: Account) -> str:
+        """Return the port of the ROM, after asking the firmware that runs on the board to start it.
 
-def _install(client: RomClient, plan: FlashPlan, progress: Progress) -> None:
+        Raises LinkError for a firmware of another board, and unless the pilot wants one of another make
+        replaced.
+        """
+        from neuroflight.flash.rom.dfu_board import check_board, into_dfu, read_running, runs_firmware
+
+        if not runs_firmware(self.port):
+            return self.port
+        client = connect(self.port)
+        try:
+            running = read_running(client)
+            check_board(client, running)
+            told.say(f"board  {running.text}, on {client.name}")
+            if self.dry_run:
+                raise LinkError(
+                    f"{client.name}: a firmware runs there, which --dry-run does not end; leave that out, or "
+                    f"plug the board in with BOOT held; nothing was written"
+                )
+            if not running.ours and not self.verify_only:
+                confirm(self.yes, f"replace {running.text} with Neuroflight", "nothing was written")
+        except BaseException:
+            client.close()
+            raise
+        told.say("enter  the firmware starts the boot loader in the chip's ROM")
+        return into_dfu(client)
+
+
+def _install(client: Rom, plan: FlashPlan, progress: Progress) -> None:
     from neuroflight.flash.rom.rescue import install
 
     try:
@@ -132,12 +172,13 @@ def _install(client: RomClient, plan: FlashPlan, progress: Progress) -> None:
         ) from None
 
 
-def _tell(told: Account, image: str, plan: FlashPlan, baud: float, check: str) -> None:
+def _tell(told: Account, image: str, plan: FlashPlan, baud: float | None, check: str) -> None:
     told.say(f"image  {image}, {plan.bytes:,} bytes")
     told.say(f"check  {check}")
     told.say(f"erase  {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.sectors)}")
     told.say(f"keep   {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.kept)}")
-    told.say(f"takes  about {plan.seconds(baud):.0f} s at {baud:.0f} baud")
+    by = "by USB" if baud is None else f"at {baud:.0f} baud"
+    told.say(f"takes  about {plan.seconds(baud):.0f} s {by}")
 
 
 def _purpose(number: int) -> str:
@@ -146,10 +187,13 @@ def _purpose(number: int) -> str:
     return next((what for place, what in PURPOSES if place.address == sector.address), "unused")
 
 
-def _baud(port: str) -> int:
-    """Return the speed that the user asks for. Raises LinkError for one that the ROM does not measure."""
+def _baud(port: str) -> int | None:
+    """Return the speed of the line, None for USB. Raises LinkError for one that the ROM does not measure."""
     from neuroflight.flash.link.transport import SerialPort, parse_port
+    from neuroflight.flash.rom.dfu_board import is_dfu, runs_firmware
 
+    if is_dfu(port) or runs_firmware(port):
+        return None
     parsed = parse_port(port)
     baud = parsed.baud if isinstance(parsed, SerialPort) else BAUD_MAX
     if not BAUD_MIN <= baud <= BAUD_MAX:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from neuroflight.cli.options import Json, Port
 from neuroflight.cli.report import Account, print_facts, print_json, print_table
-from neuroflight.cli.requests import Option, Request
+from neuroflight.cli.requests import Either, Option, Request
 
 if TYPE_CHECKING:
     from neuroflight.flash.board.acknowledge import Acknowledged
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from neuroflight.flash.board.overview import Overview
     from neuroflight.flash.link.client import Client
     from neuroflight.flash.link.records import Fault, Tasks
+
+
+INSTEAD = Either()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -329,15 +332,31 @@ class Reboot(OnPort):
     """A request to start the firmware anew."""
 
     rom: Annotated[
-        bool, Option(None, "start the boot loader in the chip's ROM instead, for `board rescue`")
+        bool,
+        Option(None, "start the boot loader in the chip's ROM instead, for `board rescue`", either=INSTEAD),
+    ] = False
+    dfu: Annotated[
+        bool, Option(None, "likewise, and wait until its USB boot loader is there", either=INSTEAD)
+    ] = False
+    card: Annotated[
+        bool,
+        Option(None, "show the SD card as a disk by USB instead, until it is ejected", either=INSTEAD),
     ] = False
     json: Json = False
 
     def run(self) -> int:
-        """Start the firmware anew and wait until it answers, or the chip's ROM."""
-        from neuroflight.flash.board.restart import enter_rom
+        """Start the firmware anew and wait until it answers, or the chip's ROM, or its card as a disk."""
+        from neuroflight.flash.board.restart import enter_rom, show_card
+        from neuroflight.flash.rom.dfu_board import into_dfu
 
-        if self.rom:
+        if self.dfu:
+            port = into_dfu(connect(self.port))
+            told = (
+                f"{port}: the board waits in its ROM's USB boot loader\n"
+                f"next: neuroflight board rescue IMAGE --port {port}; pulling the plug brings the firmware "
+                "back"
+            )
+        elif self.rom:
             with connect(self.port) as client:
                 enter_rom(client)
             told = (
@@ -345,9 +364,18 @@ class Reboot(OnPort):
                 f"next: neuroflight board rescue IMAGE --port {self.port}; pulling the plug brings the "
                 "firmware back"
             )
+        elif self.card:
+            with connect(self.port) as client:
+                show_card(client)
+            told = (
+                f"{client.name}: the board shows its SD card as a disk by USB, which can be read, not "
+                "written\n"
+                "next: copy the logs; eject the disk, or pull the plug, and the firmware runs again"
+            )
         else:
             told = started_anew(self.port)
-        return Account(self.json).end({"started": "rom" if self.rom else "firmware"}, told)
+        started = "card" if self.card else "dfu" if self.dfu else "rom" if self.rom else "firmware"
+        return Account(self.json).end({"started": started}, told)
 
 
 def started_anew(port: str) -> str:

@@ -20,6 +20,7 @@ from neuroflight.cli.image.emulated import (
     Interrupt,
     open_end,
     parse_serials,
+    parse_usb,
 )
 from neuroflight.cli.requests import Either, Option, Request
 from neuroflight.toolchain.contract import (
@@ -37,9 +38,11 @@ if TYPE_CHECKING:
     from neuroflight.sim.board.debug.gdb import GdbServer
     from neuroflight.sim.board.serial.bridge import Bridge
     from neuroflight.sim.board.serial.idle_board import IdleBoard
+    from neuroflight.sim.board.usb.usbip import UsbIpServer
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
 BAUD_MAX = 10_000_000
+USB_PORT = 3240  # USB/IP's own
 VECTORS_BYTES = 8  # stack and reset vector
 VOLTS_MAX = 36.0  # what the converter's pin can see
 
@@ -86,6 +89,16 @@ class Emulate(Request):
             high=BAUD_MAX,
         ),
     ] = MSP_BAUD_DEFAULT
+    usb: Annotated[
+        str | None,
+        Option(
+            "[HOST:]PORT",
+            "plug a cable into its USB connector; at the other end is a USB/IP server on this computer, "
+            f"where programs attach the board; default: port {USB_PORT}; 0: any port",
+            number="?",
+            bare=str(USB_PORT),
+        ),
+    ] = None
     gdb: Annotated[
         int | None, Option("PORT", "let gdb in there, at any time; 0: any port", low=0, high=PORT_MAX)
     ] = None
@@ -118,6 +131,7 @@ class Emulate(Request):
     def run(self) -> int:
         """Serve until the end. Returns 0; raises BoardError for errors of the image."""
         serials = {"uart1": ("pty", 0), **parse_serials(self.serial)}
+        usb_port = None if self.usb is None else parse_usb(self.usb)
         self._check()
         image = self.chip or self.image or (self.build or BUILD) / "neuroflight.bin"
 
@@ -127,6 +141,7 @@ class Emulate(Request):
         from neuroflight.sim.board.peripherals.usart import Format
         from neuroflight.sim.board.serial.bridge import Bridge, UartLine
         from neuroflight.sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
+        from neuroflight.sim.board.usb.usbip import UsbIpServer
         from neuroflight.toolchain.image.elf import read_flashable
 
         flashed = b"" if self.chip else read_flashable(image)
@@ -165,13 +180,16 @@ class Emulate(Request):
                 baud = self.baud if name == "uart1" else _baud(idle)
                 bridges.append(Bridge(UartLine(idle.board, UARTS[name], Format(baud)), end))
                 ends.callback(bridges[-1].close)
+            usb = None if usb_port is None else UsbIpServer([idle.board.hardware.usb_host], usb_port)
+            if usb is not None:
+                ends.callback(usb.close)
             debugger = None
             if self.gdb is not None:
                 debugger = GdbServer(idle.board.engine, self.gdb, on_flashed=keeper.note_change)
                 ends.callback(debugger.close)
                 idle.run_core = debugger.run_to
             interrupt = ends.enter_context(Interrupt(debugger))
-            self._tell(image, bridges, debugger, in_rom=idle.board.hardware.rom.runs)
+            self._tell(image, bridges, usb, debugger, in_rom=idle.board.hardware.rom.runs)
             watch = _SpeedWatch(bridges[0])
 
             def update() -> None:
@@ -182,7 +200,7 @@ class Emulate(Request):
                     debugger.poll()
 
             try:
-                serve(idle, bridges, seconds=self.seconds, update=update)
+                serve(idle, [*bridges, *([] if usb is None else [usb])], seconds=self.seconds, update=update)
             except KeyboardInterrupt:
                 print(end="" if self.json else "\n", flush=True)  # behind the terminal's ^C
             self._end(idle)
@@ -199,7 +217,13 @@ class Emulate(Request):
             raise NeuroflightError(f"--seconds {self.seconds:g}, expected a number above 0")
 
     def _tell(
-        self, image: Path, bridges: Sequence[Bridge], debugger: GdbServer | None, *, in_rom: bool
+        self,
+        image: Path,
+        bridges: Sequence[Bridge],
+        usb: UsbIpServer | None,
+        debugger: GdbServer | None,
+        *,
+        in_rom: bool,
     ) -> None:
         """Print where programs find the board."""
         if self.json:
@@ -208,7 +232,8 @@ class Emulate(Request):
                 for name, bridge in zip(("rom" if in_rom else "msp", "uart3"), bridges, strict=False)
             }
             gdb = None if debugger is None else debugger.port
-            print(json.dumps({"image": str(image), "ports": ports, "gdb": gdb}), flush=True)
+            where = {"ports": ports, "usb": None if usb is None else usb.port, "gdb": gdb}
+            print(json.dumps({"image": str(image), **where}), flush=True)
             return
         print(f"board  {image}")
         for label, bridge in zip(("ROM" if in_rom else "MSP", "UART3"), bridges, strict=False):
@@ -217,6 +242,8 @@ class Emulate(Request):
             print(
                 f"{label:7}{name}, {bridge.line.format.baud:.0f} baud; neuroflight board {then} --port {name}"
             )
+        if usb is not None:
+            print(f"USB    {usb.name}, USB/IP; usbip --tcp-port {usb.port} attach -r 127.0.0.1 -b 1-1")
         if debugger is not None:
             elf = image.with_suffix(".elf")
             elf = elf if elf.is_file() else BUILD / "neuroflight.elf"

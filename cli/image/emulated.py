@@ -42,6 +42,17 @@ def parse_serials(texts: Sequence[str]) -> dict[str, tuple[str, int]]:
     return serials
 
 
+def parse_usb(text: str) -> int:
+    """Return the TCP port of `--usb [HOST:]PORT`, on this computer only."""
+    found = re.fullmatch(r"(?:(127\.0\.0\.1|localhost):)?(\d{1,5})", text)
+    if found is None or int(found[2]) > PORT_MAX:
+        raise NeuroflightError(
+            f"--usb: got {text!r}, expected a port of 0 to {PORT_MAX}, with a host 127.0.0.1:PORT: only "
+            "programs on this computer are served"
+        )
+    return int(found[2])
+
+
 def open_end(serial: tuple[str, int]) -> End:
     """Open the end of a serial line that was asked for."""
     from neuroflight.sim.board.serial.bridge import PtyEnd, TcpEnd

@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "common/printer.h"
+
 #define ALERT_RATE_HZ 50
 #define STORAGE_RATE_HZ 10
 #define WEIGHTS_AT_ONCE ((size_t)POLICY_WEIGHT_COUNT / 8 + 1) /* all of them in less than a second */
@@ -308,6 +310,17 @@ static uint16_t background_load_percent(const struct background *background)
 	const uint32_t percent = background_percent(background, longest);
 
 	return (uint16_t)(percent < UINT16_MAX ? percent : UINT16_MAX);
+}
+
+void background_name(const struct background *background, char *text, size_t capacity)
+{
+	struct nf_policy_blob_header policy = { .aircraft = "none" };
+	struct printer p = printer_init(text, capacity);
+
+	(void)policy_slots_header(&background->slots, &policy);
+	printer_say(&p, "%s %.*s", background->config.board.identity.target, (int)sizeof policy.aircraft,
+		    policy.aircraft);
+	*p.at = '\0';
 }
 
 void background_status(const struct background *background, struct firmware_status *status)

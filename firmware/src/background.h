@@ -71,6 +71,9 @@ void background_step(struct background *background);
 /* The firmware's status with the background's part filled in. */
 void background_status(const struct background *background, struct firmware_status *status);
 
+/* Writes the board's target and the policy's name, "none" where none is good; ended by 0. */
+void background_name(const struct background *background, char *text, size_t capacity);
+
 /* Takes bytes from the peer of that port, possibly none, and writes the output for it. Returns the bytes written. */
 size_t background_link(struct background *background, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply,
 		       size_t capacity);

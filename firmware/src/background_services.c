@@ -18,12 +18,16 @@ enum nf_refusal background_storing(void *context, bool busy)
 	return NF_REFUSAL_ARMED;
 }
 
-static enum nf_refusal background_test_motors(void *context, uint32_t magic)
+static enum nf_refusal background_test_motors(void *context, struct msp_peer *peer, uint32_t magic)
 {
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
+	const bool may = fw->status.state == NF_FLIGHT_DISARMED && !background->rebooting;
+	const enum nf_refusal refusal = motor_test_ask(&fw->motor_test, magic, may);
 
-	return motor_test_ask(&fw->motor_test, magic, fw->status.state == NF_FLIGHT_DISARMED && !background->rebooting);
+	if (peer)
+		peer->opened = refusal == NF_REFUSAL_NONE && magic == NF_MOTOR_TEST_MAGIC ? fw->motor_test.wish : 0;
+	return refusal;
 }
 
 /* Is the test that the peer opened by saying that it tests motors the one that is open? */
@@ -39,13 +43,14 @@ static enum nf_refusal background_arming(void *context, struct msp_peer *peer, b
 	bool locked = false;
 
 	if (test) {
-		const enum nf_refusal refusal = background_test_motors(context, NF_MOTOR_TEST_MAGIC);
+		const enum nf_refusal refusal = background_test_motors(context, NULL, NF_MOTOR_TEST_MAGIC);
 		if (refusal != NF_REFUSAL_NONE)
 			return refusal;
 		if (disabled)
 			fw->motor_test.most = NF_MOTOR_WIZARD_MAX;
-	} else if (background_owns_test(background, peer)) {
-		(void)background_test_motors(context, 0);
+	} else if (background_owns_test(background, peer) ||
+		   (peer->opened != 0 && peer->opened == fw->motor_test.wish)) {
+		(void)background_test_motors(context, peer, 0);
 	}
 	peer->test = test ? fw->motor_test.wish : 0;
 	peer->locks = disabled;
@@ -116,6 +121,10 @@ enum nf_refusal background_reboot(void *context, enum nf_reboot kind)
 {
 	struct background *background = context;
 	const struct hal *hal = background->config.board.hal;
+
+	/* A start that shows the card proves nothing of the image, but counts. */
+	if (kind == NF_REBOOT_CARD && image_probation_holds(&background->probation))
+		return NF_REFUSAL_ORDER;
 	const enum nf_refusal refusal = background_storing(context, true);
 
 	if (refusal != NF_REFUSAL_NONE)
@@ -203,4 +212,5 @@ void background_offer_services(struct background *background)
 	};
 	for (unsigned port = 0; port < NF_MSP_PORT_COUNT; ++port)
 		msp_port_init(&background->ports[port], &background->services);
+	background->ports[NF_MSP_PORT_USB].letter = true;
 }

@@ -52,6 +52,7 @@ int main(int argc, char **argv)
 		.link_pause = runtime_link_pause,
 		.link_lost = runtime_link_lost,
 		.link_busy = runtime_link_busy,
+		.name = runtime_name,
 	};
 
 	const int start = hal_init(argc, argv, &info);

@@ -139,3 +139,10 @@ bool runtime_link_busy(void *context, unsigned port)
 
 	return msp_port_busy(&runtime->background->ports[port]);
 }
+
+void runtime_name(void *context, char *text, size_t capacity)
+{
+	const struct runtime *runtime = context;
+
+	background_name(runtime->background, text, capacity);
+}

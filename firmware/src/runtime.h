@@ -33,3 +33,4 @@ void runtime_link_reset(void *runtime, unsigned port);
 void runtime_link_pause(void *runtime, unsigned port);
 void runtime_link_lost(void *runtime, unsigned port);
 bool runtime_link_busy(void *runtime, unsigned port);
+void runtime_name(void *runtime, char *text, size_t capacity);

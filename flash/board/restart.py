@@ -73,6 +73,14 @@ def enter_rom(client: Client) -> None:
     client.request(Msp.REBOOT, bytes([Reboot.ROM]))
 
 
+def show_card(client: Client) -> None:
+    """Have the firmware start anew and show its SD card as a disk by USB until that is ejected or unplugged.
+
+    Raises LinkError when it refuses: while armed or on probation, and without a USB cable.
+    """
+    client.request(Msp.REBOOT, bytes([Reboot.CARD]))
+
+
 def _gone(
     client: Client,
     reopen: Callable[[], Transport],

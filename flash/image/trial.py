@@ -13,7 +13,7 @@ from neuroflight.flash.image.files import Image, bank_name
 from neuroflight.flash.image.messages import Banks, image_info
 from neuroflight.flash.image.update import Clock, hash_of
 from neuroflight.flash.link import messages, records
-from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError
+from neuroflight.flash.link.client import Client, NoAnswerError, RefusedError, patiently
 from neuroflight.flash.link.messages import PolicyInfo
 from neuroflight.flash.link.transport import Transport
 from neuroflight.toolchain.contract import Msp
@@ -78,8 +78,8 @@ def await_image(
 
 
 def _judge(client: Client, image: Image, banks: Banks, clock: Clock) -> Trial:
-    policy = messages.policy_info(client.request(Msp.POLICY_INFO))
-    version = version_of(client)
+    policy = patiently(client, lambda: messages.policy_info(client.request(Msp.POLICY_INFO)), clock)
+    version = patiently(client, lambda: version_of(client), clock)
 
     def ended(ending: Ending, why: str) -> Trial:
         return Trial(ending, why, version, policy)

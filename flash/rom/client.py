@@ -44,7 +44,10 @@ class Chip:
     """The chip that answers."""
 
     product_id: int
-    version: int  # of the protocol: 0x31 is 3.1
+    version: int  # of the protocol: 0x31 is 3.1; 0 on USB, which does not tell it
+
+    def __str__(self) -> str:
+        return f"0x{self.product_id:03X}"
 
 
 class _LineError(Exception):
@@ -57,6 +60,8 @@ class _LineError(Exception):
 
 class RomClient:
     """A client of the ROM over an open transport, which it owns: use it in a `with`, or close it."""
+
+    data_max = DATA_MAX
 
     def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
         """clock: monotonic [s]."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
-from neuroflight.flash.rom.client import DATA_MAX, RomClient
 from neuroflight.flash.rom.segments import ERASED, Segment, touched_sectors
 from neuroflight.toolchain.contract import FLASH_BANK_B, FLASH_BOOT, FLASH_POLICY_SLOTS, FLASH_SECTORS
 from neuroflight.toolchain.errors import LinkError
@@ -20,9 +20,33 @@ BITS_PER_BYTE = 11  # on the line: start, 8, parity, stop
 OVERHEAD_BYTES = 2 + 1 + 5 + 1 + 2 + 1  # of a write or read beside its data
 ERASE_S = {16: 0.4, 64: 1.2, 128: 2.0}  # typical, by sector size [KiB]
 PROGRAM_S = 16e-6  # a byte
+UART_BLOCK_BYTES = 256  # of a write or read there
+USB_BLOCK_BYTES, USB_BLOCK_S = 2048, 0.015  # six control transfers, each of some frames of 1 ms: an estimate
 _WORD = 4
 
 Progress = Callable[[str, int, int], None]  # action, done, in all
+
+
+class Rom(Protocol):
+    """A client of the boot loader in the chip's ROM, on a UART or on USB. Methods raise LinkError."""
+
+    data_max: int  # bytes of one read or write
+
+    @property
+    def name(self) -> str:
+        """The port as the user would write it."""
+
+    def read(self, address: int, size: int) -> bytes:
+        """Read at most `data_max` bytes."""
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write at most `data_max` bytes to erased flash."""
+
+    def erase(self, sector: int) -> None:
+        """Erase a sector, by its number."""
+
+    def go(self, address: int) -> bool:
+        """Start the program whose vectors lie at `address`. Returns whether the ROM has agreed."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +66,13 @@ class FlashPlan:
         """Sectors that stay unchanged."""
         return tuple(number for number in range(len(FLASH_SECTORS)) if number not in self.sectors)
 
-    def seconds(self, baud: float) -> float:
-        """Estimate the seconds for erasing, writing and reading back."""
-        commands = -(-self.bytes // DATA_MAX)
-        line = (self.bytes + commands * OVERHEAD_BYTES) * BITS_PER_BYTE / baud
+    def seconds(self, baud: float | None) -> float:
+        """Estimate the seconds for erasing, writing and reading back. baud: None: by USB."""
+        if baud is None:
+            line = -(-self.bytes // USB_BLOCK_BYTES) * USB_BLOCK_S
+        else:
+            commands = -(-self.bytes // UART_BLOCK_BYTES)
+            line = (self.bytes + commands * OVERHEAD_BYTES) * BITS_PER_BYTE / baud
         erasing = sum(ERASE_S[FLASH_SECTORS[number].size >> 10] for number in self.sectors)
         return erasing + 2 * line + self.bytes * PROGRAM_S
 
@@ -64,7 +91,7 @@ def plan_flash(segments: Sequence[Segment], *, erase_bank_b: bool = False) -> Fl
     return FlashPlan(padded, tuple(sorted(sectors)))
 
 
-def install(client: RomClient, plan: FlashPlan, progress: Progress = lambda what, done, total: None) -> None:
+def install(client: Rom, plan: FlashPlan, progress: Progress = lambda what, done, total: None) -> None:
     """Erase, write and read back. Raises LinkError of one line that says how far it came.
 
     The chip must have been found by `client.connect`. Nothing is started.
@@ -78,7 +105,7 @@ def install(client: RomClient, plan: FlashPlan, progress: Progress = lambda what
             erased.append(number)
         progress("erase", len(erased), len(plan.sectors))
         for segment in reversed(plan.segments):
-            for address, data in _pieces(segment):
+            for address, data in _pieces(segment, client.data_max):
                 progress("write", written, plan.bytes)
                 client.write(address, data)
                 written += len(data)
@@ -88,12 +115,12 @@ def install(client: RomClient, plan: FlashPlan, progress: Progress = lambda what
     verify(client, plan, progress)
 
 
-def verify(client: RomClient, plan: FlashPlan, progress: Progress = lambda what, done, total: None) -> None:
+def verify(client: Rom, plan: FlashPlan, progress: Progress = lambda what, done, total: None) -> None:
     """Read back what the plan writes and compare. Raises LinkError with the first difference."""
     compared = different = 0
     first: int | None = None
     for segment in plan.segments:
-        for address, data in _pieces(segment):
+        for address, data in _pieces(segment, client.data_max):
             progress("verify", compared, plan.bytes)
             try:
                 found = client.read(address, len(data))
@@ -116,7 +143,7 @@ def verify(client: RomClient, plan: FlashPlan, progress: Progress = lambda what,
         )
 
 
-def start(client: RomClient) -> bool:
+def start(client: Rom) -> bool:
     """Start the program in flash. Returns False if the ROM did not agree: a power cycle starts it then."""
     return client.go(FLASH_BOOT.address)
 
@@ -147,7 +174,7 @@ def _aligned(segments: Iterable[Segment]) -> tuple[Segment, ...]:
     return tuple(aligned)
 
 
-def _pieces(segment: Segment) -> list[tuple[int, bytes]]:
-    """Yield address and bytes of each piece, 256 bytes at most."""
+def _pieces(segment: Segment, size: int) -> list[tuple[int, bytes]]:
+    """Return address and bytes of each piece, `size` bytes at most."""
     data, address = segment.data, segment.address
-    return [(address + i, data[i : i + DATA_MAX]) for i in range(0, len(data), DATA_MAX)]
+    return [(address + i, data[i : i + size]) for i in range(0, len(data), size)]

@@ -30,6 +30,7 @@ class SerialDevice(NamedTuple):
     usb: bool
     board: bool  # runs Neuroflight
     text: str  # what it says of itself
+    chip: bool = False  # of a firmware on an STM32, whichever: no adapter
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,8 @@ def serial_devices() -> Sequence[SerialDevice]:
     for port in sorted(comports(), key=lambda port: port.device):
         board = (port.vid, port.pid) == SERIAL_PORT and port.manufacturer == MAKER
         name = links.get(port.device, port.device) if board else port.device
-        found.append(SerialDevice(name, port.vid is not None, board, port.description or ""))
+        chip = (port.vid, port.pid) == SERIAL_PORT
+        found.append(SerialDevice(name, port.vid is not None, board, port.description or "", chip))
     return found
 
 

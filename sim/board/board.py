@@ -32,6 +32,9 @@ from neuroflight.sim.board.peripherals.timer import TIMERS, Timer
 from neuroflight.sim.board.peripherals.usart import Usart
 from neuroflight.sim.board.registers.bus import Device, Registers, Touch, load_table
 from neuroflight.sim.board.rom.boot_loader import BootLoader
+from neuroflight.sim.board.usb.cable import Connector
+from neuroflight.sim.board.usb.host import Host
+from neuroflight.sim.board.usb.otg import POLLED, Otg
 from neuroflight.toolchain.contract import DSHOT_MIN
 from neuroflight.toolchain.image.bank_state import proven
 
@@ -80,7 +83,11 @@ class Hardware:
         self.adc_common = AdcCommon(engine)
         self.adc = Adc(engine, self.adc_common, self.dma, self.pins)
         self.iwdg = Iwdg(native)
+        self.otg = Otg(engine, self.pins, self.rcc)
+        self.usb = Connector(self.otg)
+        self.usb_host = Host(engine, self.usb)
         self.rom = BootLoader(engine, self.rcc, self.flash, self.usarts["USART1"], self.iwdg)
+        self.usb.devices.append(self.rom.dfu)
         self.inspection = Inspection(engine, self.dma, self.exti, int(READY[2:]))
         self.escs = tuple(self._wire_esc(motor, *line) for motor, line in enumerate(MOTORS))
         self._heard: Any = None  # uint16_t[]: what `_obeyed` was made of
@@ -92,8 +99,13 @@ class Hardware:
         for companion in companions:
             self.registers.accompany(self.spi, companion)
         self.registers.accompany(self.card_spi, self.card_slot)
-        self.registers.accompany(self.usarts["USART1"], self.rom)
+        for part in (self.rom, self.rom.programmer, self.rom.dfu, self.rom.dfu.pipe):
+            self.registers.accompany(self.usarts["USART1"], part)
+        for companion in (self.otg, self.usb, self.usb_host):
+            self.registers.accompany(self.otg.core, companion)
         self.registers.attach(engine)
+        for name, polled in POLLED.items():
+            self.registers.keep_answers(self.registers.devices[name], *polled)
         edge = f"EXTI{int(READY[2:])}"
         name = f"the gyro's data-ready edge ({edge})"
         engine.bound_entry(interrupt(edge), ENTRY_BOUND, name, urgent=True)
@@ -123,6 +135,7 @@ class Hardware:
             self.adc_common,
             self.adc,
             self.iwdg,
+            *self.otg.devices,
             Device(self.engine, "DBGMCU"),
         )
 

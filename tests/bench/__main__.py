@@ -13,7 +13,7 @@ from typing import Any
 from neuroflight.cli.main import THREADS
 
 RECIPES = ("nf1", "ppo")  # pathwise gradient and PPO
-SUBJECTS = ("twin", "envs", "training", "compiler", "firmware", "board", "flights")
+SUBJECTS = ("twin", "envs", "training", "compiler", "firmware", "board", "usb", "flights")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,6 +41,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         document |= measure_firmware(args)
     if "board" in args.only:
         document |= measure_board(args)
+    if "usb" in args.only:
+        document |= measure_usb(args)
     if "flights" in args.only:
         document |= measure_flights(args)
     if args.json:
@@ -119,6 +121,16 @@ def measure_board(args: argparse.Namespace) -> dict[str, Any]:
     if not args.json:
         print_table(speed)
     return {"board": document(speed)}
+
+
+def measure_usb(args: argparse.Namespace) -> dict[str, Any]:
+    """How fast the image is over USB, in the board's own time."""
+    from tests.bench.usb import print_table, rows
+
+    measured = rows(lambda text: print(text, file=sys.stderr))
+    if not args.json:
+        print_table(measured)
+    return {"usb": [asdict(row) for row in measured]}
 
 
 def measure_flights(args: argparse.Namespace) -> dict[str, Any]:

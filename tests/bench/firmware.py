@@ -282,7 +282,7 @@ class _Board:
             sketch = Sketch(ELFFile(file), registers_in_use(), cycles_a_read=2000)
         Chip(sketch, 0x70)
         program = load_program(elf)
-        sketch.run(program.symbol("msp_uart_serve").address)
+        sketch.run(program.symbol("msp_lines_serve").address)
         self.core = CortexM7(program, MEMORY)
         for region in MEMORY:
             self.core.write(region.address, bytes(sketch.uc.mem_read(region.address, region.size)))

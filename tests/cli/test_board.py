@@ -221,16 +221,36 @@ def test_its_ports_and_its_end_are_lines_of_json_when_asked_for(
     image: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["image", "emulate", "--image", str(image), "--seconds=0.01", "--serial=tcp", "--gdb=0", "--json"]
-    assert main(words) == 0
+    assert main([*words, "--usb=0"]) == 0
     begun, ended = map(json.loads, capsys.readouterr().out.splitlines())
-    assert begun["image"] == str(image) and begun["gdb"] > 0
+    assert begun["image"] == str(image) and begun["gdb"] > 0 and begun["usb"] > 0
     assert list(begun["ports"]) == ["msp"] and begun["ports"]["msp"]["port"].startswith("tcp:127.0.0.1:")
     assert ended["seconds"] >= 0.01 and ended["resets"] == []
+
+
+def test_its_usb_connector_is_a_usbip_server_when_a_cable_is_plugged(
+    start: Callable[..., Running], image: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = start("--serial=tcp", "--usb=localhost:0")
+    found = re.search(r"^USB +127\.0\.0\.1:(\d+), USB/IP", board.told, re.MULTILINE)
+    assert found is not None
+    with socket.create_connection(("127.0.0.1", int(found[1])), LIMIT_S) as program:
+        program.sendall(b"\x01\x11\x80\x05\0\0\0\0")  # OP_REQ_DEVLIST
+        told = b""
+        while len(told) < 324:
+            told += program.recv(4096)
+    assert told[:12] == b"\x01\x11\x00\x05\0\0\0\0\0\0\0\x01"
+    assert told[12 + 300 : 12 + 304] == b"\x04\x83\x57\x40"  # 0483:5740
+    assert main(["image", "emulate", "--image", str(image), "--serial=tcp", f"--usb={found[1]}"]) == 1
+    assert f"USB/IP port {found[1]}: " in capsys.readouterr().err
+    assert board.interrupt()[0] == 0
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (["--usb=0.0.0.0:3240"], "--usb: got '0.0.0.0:3240', expected a port of 0 to 65535"),
+        (["--usb=70000"], "--usb: got '70000', expected a port of 0 to 65535"),
         (["--serial=udp"], "--serial: got 'udp', expected pty, tcp or tcp:PORT"),
         (
             ["--serial=uart2=pty"],

@@ -7,7 +7,10 @@ import os
 import re
 import shlex
 import subprocess
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +20,35 @@ import pytest
 from neuroflight.cli.main import parse
 from neuroflight.sim.aircraft.model import parse_aircraft
 from neuroflight.sim.design.airworthiness import Level, examine
-from tests.cli.test_first_board import PORT, powered
 from tests.cli.test_first_board import clone as clone
 from tests.conftest import ROOT
 
+PORT = "/dev/ttyUSB0"
 HEADING = "7. From the file to the board"
 LIMIT_S = 900.0  # of a command that hangs
 MINUTES_MAX = (
     10.0  # of the whole way, on an idle machine; asserted where TIMED is set, as CI shares its cores
 )
 TIMED = "NEUROFLIGHT_TIMED" in os.environ
+
+
+@contextmanager
+def powered(chip: Path, *options: str) -> Iterator[str]:
+    """An emulated board with that chip; the name of UART1's port."""
+    words = ["image", "emulate", "--chip", str(chip), "--serial", "pty", *options]
+    command = [sys.executable, "-m", "neuroflight.cli.main", *words]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            told = ""
+            while "Ctrl-C" not in told and (line := process.stdout.readline()):
+                told += line
+            found = re.search(r"^(?:ROM|MSP) +(/dev/\S+),", told, re.MULTILINE)
+            assert found is not None, told
+            yield found[1]
+        finally:
+            process.terminate()
+            process.wait(LIMIT_S)
 
 
 def five_inch() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ from neuroflight.sim.ports.betaflight.process import STEP_NS, BetaflightProcess
 from neuroflight.toolchain.contract import MSP_TCP_PORT
 from tests.cli.test_board import Running
 from tests.firmware.conftest import Program
+from tests.peers.usb_computer import computer, wait_until
 from tests.peers.yamspy_client import WAIT_S
 
 BETAFLIGHT = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
@@ -78,16 +80,36 @@ def host(start_host: Callable[..., Program]) -> Program:
     return start_host()
 
 
-@pytest.fixture(params=["tcp", "uart"])
-def line(request: pytest.FixtureRequest) -> Iterator[Line]:
-    """A line to the firmware: to the host program, and to the image on the emulated board."""
+def usb_port(told: str) -> int:
+    """The USB/IP port that `image emulate` tells."""
+    found = re.search(r"^USB +127\.0\.0\.1:(\d+),", told, re.MULTILINE)
+    assert found is not None, told
+    return int(found[1])
+
+
+@contextlib.contextmanager
+def board_port(image: Path, line: str, folder: Path) -> Iterator[tuple[str, int]]:
+    """Run an image on the emulated board; its serial port and speed, by "uart" or "usb"."""
+    with contextlib.ExitStack() as running:
+        board = Running(image, *(("--usb", "0") if line == "usb" else ()))
+        running.callback(board.end)
+        if line == "uart":
+            yield board.port, board.baud
+            return
+        at = running.enter_context(computer(usb_port(board.told), folder / "by-id"))
+        yield str(wait_until(lambda: next(at.links.iterdir(), None))), board.baud
+
+
+@pytest.fixture(params=["tcp", "uart", "usb"])
+def line(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Line]:
+    """A line to the firmware: to the host program, and to the image on the emulated board, twice."""
     if request.param == "tcp":
         with tcp_line(request.getfixturevalue("host").ports["msp"]) as tcp:
             yield tcp
         return
-    board = Running(request.getfixturevalue("board_image").with_suffix(".bin"))
-    try:
-        with serial.Serial(board.port, board.baud, timeout=WAIT_S) as uart:
-            yield uart
-    finally:
-        board.end()
+    image = request.getfixturevalue("board_image").with_suffix(".bin")
+    with (
+        board_port(image, request.param, tmp_path) as (port, baud),
+        serial.Serial(port, baud, timeout=WAIT_S) as uart,
+    ):
+        yield uart

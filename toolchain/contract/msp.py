@@ -26,7 +26,10 @@ MSP_RATES_BETAFLIGHT, MSP_RATES_ACTUAL = 0, 3
 MSP_ADJUSTMENT_SLOTS = 30  # all unused
 MSP_BUILD_OPTIONS = (4103, 4097, 8231)  # of BUILD_INFO: receivers SBUS and CRSF, DShot
 MSP_PAYLOAD_MAX = 512
-MSP_PORT_COUNT = 2  # peers at once: UART1 and UART3 of the board, two TCP clients of the host program
+MSP_PORT_COUNT = 3  # peers at once: UART1, UART3 and USB of the board, three TCP clients of the host program
+MSP_PORT_USB = 2  # a line without noise, of the board: see MSP_ROM_LETTER
+# Alone, after that silence, it asks for the boot loader in the chip's ROM: programs without REBOOT do so.
+MSP_ROM_LETTER, MSP_ROM_SILENCE_MS = ord("R"), 200
 MSP_BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)  # of the line, 8N1
 MSP_BAUD_DEFAULT = 115200  # the ecosystem's
 MSP_MODE_ARMED = 0x01  # bit of the flight modes in STATUS and STATUS_EX
@@ -58,6 +61,8 @@ class Reboot(IntEnum):
 
     FIRMWARE = 0
     ROM = 1  # the boot loader in the chip's ROM
+    CARD = 2  # the firmware, which shows its SD card as a disk by USB
+    CARD_UTC = 3  # the same: what the app asks for on Linux, where a disk's clock would be UTC
 
 
 class Refusal(IntEnum):

@@ -213,7 +213,7 @@ _RANGE = (
 )
 _LOGIC = (u8("logic", "", "1: and the others"), u8("linked", "", "0"))
 _PORT = (
-    u8("port", "", "0 is UART1"),
+    u8("port", "", "0 is UART1, 20 USB"),
     u32("functions", "bits", "0 MSP, 6 serial receiver, 7 blackbox"),
     *numbers("u8", "msp_baud gps_baud telemetry_baud blackbox_baud", "", "index of 0, 9600, 19200 .."),
 )
@@ -313,10 +313,11 @@ class Msp(IntEnum):
     SET_RX_MAP = 65
     REBOOT = stopped(
         68,
-        (_R.ABSENT,),
+        (_R.ABSENT, _R.ORDER),
         request=payload(u8("kind", "", "0"), required=0),
-        note="kind 0, or none, starts the firmware, 1 the boot loader in the chip's ROM, "
-        "`absent` on the host program",
+        note="kind 0, or none, starts the firmware, 1 the boot loader in the chip's ROM, 2 (or 3) the "
+        "firmware to show its SD card as a disk by USB, until it is unplugged or ejected: `absent` without "
+        "a cable, `order` while an image is on probation; 1 to 3: `absent` on the host program",
         once=True,
     )
     DATAFLASH_SUMMARY = 70

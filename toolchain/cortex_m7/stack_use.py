@@ -38,16 +38,35 @@ def _services(*names: str) -> tuple[str, ...]:
     return _in("background_services.c", *(f"background_{name}" for name in names))
 
 
+_LINE = ("look", "waiting", "read", "room", "fill", "send", "sending")  # of a serial_line
+_EVENTS = ("reset", "suspend", "setup", "received", "ended")  # of a USB controller
+_FUNCTION = ("configure", "suspend", "request", "received", "ended", "cleared")  # of a usb_function
+
 # Where calls through pointers go that no constant table of their own file holds: C file, or C file and
 # function of the image, -> functions, or tables whose functions, by file and name.
 POINTERS: Mapping[str, tuple[str, ...]] = {
     "boot.c": ("startup.c:reset_handler",),
     "gyro_chip.c:gyro_sample_handler": ("runtime.c:runtime_sample",),
     "gyro_chip.c:gyro_tick": ("runtime.c:runtime_gyro_silent",),
-    "hal.c": ("runtime.c:runtime_background",),
-    "msp_uart.c": _in(
-        "runtime.c", "runtime_link", "runtime_link_pause", "runtime_link_lost", "runtime_link_busy"
+    "hal.c": _in("runtime.c", "runtime_background", "runtime_name"),
+    "msp_lines.c": (
+        *_in("runtime.c", "runtime_link", "runtime_link_reset", "runtime_link_pause", "runtime_link_lost"),
+        "runtime.c:runtime_link_busy",
+        *_in("uart_line.c", *(f"uart_line_{name}" for name in _LINE)),
+        *_in("usb_serial.c", *(f"serial_{name}" for name in _LINE)),
     ),
+    "log_uart.c": _in("uart_line.c", *(f"uart_line_{name}" for name in _LINE)),
+    "otg.c": _in("usb_device.c", *(f"device_{name}" for name in _EVENTS)),
+    "usb_bus.c": ("usb_device.c:device_reset",),
+    "usb_device.c": (
+        "otg.c:controller",
+        *_in("usb_serial.c", *(f"serial_{name}" for name in _FUNCTION)),
+        *_in("usb_disk.c", *(f"disk_{name}" for name in _FUNCTION)),
+    ),
+    "usb_device.c:device_set_stall": ("otg.c:controller",),
+    "usb_device.c:usb_device_stall": ("otg.c:controller",),
+    "usb_serial.c": ("otg.c:controller",),
+    "usb_disk.c": ("otg.c:controller", "usb_card.c:medium"),
     "flash.c:flash_at": ("hal.c:hal_flash_at",),
     "flash.c:flash_erase": ("flash_memory.c:flash_memory_erase",),
     "flash.c:flash_program": ("flash_memory.c:flash_memory_program",),

@@ -22,6 +22,7 @@ _Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives six 
 
 #define CONTROL_CYCLES (CLOCK_CORE_HZ / POLICY_CONTROL_RATE_HZ)
 #define BROWN_OUT_OFF 3u /* FLASH_OPTCR BOR_LEV; 2, 1, 0: levels 1 to 3 (RM0431, option bytes) */
+_Static_assert(NF_MSP_PORT_USB + 1u == NF_MSP_PORT_COUNT, "two UARTs, and USB");
 #define RESET_WAIT_MS 2500u /* the two buffers of a line take 2.2 s at 9600 baud */
 
 extern const char bank_start[]; /* linker script */
@@ -72,8 +73,11 @@ static const uint8_t *hal_flash_at(void *context, uint32_t address)
 	return (const uint8_t *)address;
 }
 
+/* A card that no host could see is not shown. */
 static bool hal_reset(void *context, enum nf_reboot kind)
 {
+	if (kind == NF_REBOOT_CARD && !usb_bus_powered())
+		return false;
 	restart.wanted = true;
 	restart.kind = kind;
 	restart.since_ms = time_ms();
@@ -121,6 +125,14 @@ static void hal_start_motors(void)
 	motors_run(settings.motor_protocol, POLICY_ACTION_COUNT);
 }
 
+/* A frame that is cut short is none, and the ESC may take the line's end for anything. */
+static _Noreturn void hal_start_anew(enum nf_reboot kind)
+{
+	interrupts_disable();
+	motors_finish();
+	fault_reset(kind);
+}
+
 int hal_init(int argc, char **argv, struct hal_info *info)
 {
 	core_start();
@@ -135,6 +147,10 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	watchdog_start();
 	gpio_output(BOARD_LED0, false); /* active low: lit */
 	gpio_output(BOARD_BEEPER, false);
+	if (fault_shows_card()) {
+		usb_card_run();
+		hal_start_anew(NF_REBOOT_FIRMWARE);
+	}
 	power_start();
 	struct gyro_found found = { BOARD_GYRO_ALIGNMENT, GYRO_ICM20602, 0 }; /* without a chip it does not matter */
 	(void)gyro_start(&found); /* the core hears of its silence */
@@ -164,22 +180,30 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
-	msp_uart_start(0, settings->msp_baud);
+	static char product[USB_TEXT_MAX + 1u];
+	struct serial_line usb;
+
+	msp_lines_start(0, msp_uart_open(0, settings->msp_baud));
 	if (settings->uart3_function == NF_UART3_FUNCTION_MSP)
-		msp_uart_start(1, settings->uart3_baud);
+		msp_lines_start(1, msp_uart_open(1, settings->uart3_baud));
+	handlers->name(handlers->context, product, sizeof product);
+	if (usb_line_open(product, &usb))
+		msp_lines_start(NF_MSP_PORT_USB, usb);
 	receiver_line_start(settings->receiver_protocol);
 	gyro_run(handlers, settings->gyro_rate_hz);
 	program_runs = true;
 	for (;;) {
 		const uint32_t samples = gyro_samples(), milliseconds = time_ms();
+		const bool awake = usb_bus_step();
 
 		handlers->background(handlers->context);
 		if (!restart.wanted)
-			msp_uart_serve(handlers);
-		else if (!msp_uart_finish() || time_ms() - restart.since_ms > RESET_WAIT_MS)
-			fault_reset(restart.kind == NF_REBOOT_ROM);
-		/* Most interrupts only begin to read a sample: there is work after a sample or a millisecond. */
-		while (gyro_samples() == samples && time_ms() == milliseconds)
+			msp_lines_serve(handlers);
+		else if (!msp_lines_finish() || time_ms() - restart.since_ms > RESET_WAIT_MS)
+			hal_start_anew(restart.kind);
+		/* Most interrupts only begin to read a sample: there is work after a sample or a millisecond, and while a host
+		 * talks. */
+		while (!awake && gyro_samples() == samples && time_ms() == milliseconds)
 			wait_for_interrupt();
 	}
 }

@@ -26,7 +26,7 @@ $(OBJ)/src/%.o: CFLAGS += -Os
 $(addprefix $(OBJ)/src/control/,estimator.o mixer.o observation.o): CFLAGS += -O2
 # What only the background runs keeps less in registers, so that it saves and restores fewer.
 $(addprefix $(OBJ)/src/,background.o background_start.o background_services.o \
-	$(addsuffix /%.o,blackbox command_line msp port storage)): \
+	$(addsuffix /%.o,blackbox command_line msp port storage usb)): \
 	CFLAGS += -fno-move-loop-invariants -fno-schedule-insns2
 # The drivers are small, too, but for those of the gyro's path and what delays the motors' first stop frame.
 QUICK := devices/gyro_chip devices/motors peripherals/spi startup/memory startup/startup

@@ -65,11 +65,11 @@ static void motor_test_on(const struct task_line *t)
 		motor_fail(t, "only a typed session turns motors, one that '#' opens");
 		return;
 	}
-	if (s->motor_test(s->context, NF_MOTOR_TEST_MAGIC) != NF_REFUSAL_NONE) {
+	if (s->motor_test(s->context, NULL, NF_MOTOR_TEST_MAGIC) != NF_REFUSAL_NONE) {
 		motor_fail(t, "not disarmed and ready: 'status' tells");
 		return;
 	}
-	(void)s->motor_test(s->context, 0);
+	(void)s->motor_test(s->context, NULL, 0);
 	t->cl->motor.allowed = true;
 	t->cl->motor.allowed_since = command_samples(t->cl);
 	printer_line(t->out, "PROPELLERS OFF? 'motor N VALUE SECONDS' turns motor N; any byte stops it");
@@ -110,7 +110,7 @@ static void motor_turn(const struct task_line *t, uint32_t number, uint32_t valu
 		motor_fail(t, "no motor test is open; take the propellers off, then 'motor test on'");
 		return;
 	}
-	if (s->motor_test(s->context, NF_MOTOR_TEST_MAGIC) != NF_REFUSAL_NONE) {
+	if (s->motor_test(s->context, NULL, NF_MOTOR_TEST_MAGIC) != NF_REFUSAL_NONE) {
 		cl->motor.allowed = false;
 		motor_fail(t, "not disarmed and ready: 'status' tells");
 		return;

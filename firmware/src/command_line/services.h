@@ -41,12 +41,13 @@ struct services {
 	enum nf_refusal (*channels)(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT]);
 	/* disabled: nothing may arm until the peer calls with false (NF_ARMING_REASON_MSP). test: also opens a motor
 	 * test of that peer, limited to NF_MOTOR_WIZARD_MAX if `disabled`; if that is refused, nothing changes.
-	 * Not test: a test that the peer opened so is closed. */
+	 * Not test: a test that the peer opened, so or by motor_test, is closed. */
 	enum nf_refusal (*arming)(void *context, struct msp_peer *peer, bool disabled, bool test);
 	/* A peer has made a request, which keeps the motor test that it opened by `arming` alive. */
 	void (*heard)(void *context, const struct msp_peer *peer);
-	/* Opens the motor test with the right magic, closes it with any other. */
-	enum nf_refusal (*motor_test)(void *context, uint32_t magic);
+	/* Opens the motor test with the right magic, closes it with any other. peer: with whom it ends; NULL: with
+	 * nobody. */
+	enum nf_refusal (*motor_test)(void *context, struct msp_peer *peer, uint32_t magic);
 	/* A motor test's values, 1000 to 2000 us each; 1000 stops. */
 	enum nf_refusal (*motors)(void *context, const uint16_t values_us[], size_t count);
 	/* A DShot command for the motor of that index, UINT8_MAX: for all. */

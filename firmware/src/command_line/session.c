@@ -8,7 +8,7 @@ uint32_t command_samples(const struct command_line *cl)
 void command_stop_motor(struct command_line *cl)
 {
 	cl->motor.turning = 0;
-	(void)cl->services->motor_test(cl->services->context, 0);
+	(void)cl->services->motor_test(cl->services->context, NULL, 0);
 }
 
 void command_line_stop(struct command_line *cl)

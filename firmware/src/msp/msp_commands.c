@@ -119,7 +119,7 @@ static enum nf_refusal command_set_raw_rc(struct msp_request *q)
 
 static enum nf_refusal command_motor_test(struct msp_request *q)
 {
-	return q->services->motor_test(q->services->context, msp_take_u32(&q->payload));
+	return q->services->motor_test(q->services->context, q->peer, msp_take_u32(&q->payload));
 }
 
 /* The peer forbids arming, or opens the motor test as the ecosystem's app does. */
@@ -381,9 +381,10 @@ static enum nf_refusal command_reboot(struct msp_request *q)
 {
 	const unsigned kind = msp_take_u8(&q->payload);
 
-	if (kind != NF_REBOOT_FIRMWARE && kind != NF_REBOOT_ROM)
+	if (kind > NF_REBOOT_CARD_UTC)
 		return NF_REFUSAL_PAYLOAD;
-	return q->services->reboot(q->services->context, (enum nf_reboot)kind);
+	return q->services->reboot(q->services->context,
+				   kind == NF_REBOOT_CARD_UTC ? NF_REBOOT_CARD : (enum nf_reboot)kind);
 }
 
 /* When a command may be carried out. */

@@ -126,10 +126,18 @@ static const struct rate {
 };
 #define HECTOBAUD 100u
 
-/* UART1 is always MSP's, UART2 the receiver's, UART3 is what its setting says. */
-#define LINE_COUNT 3u
+/* UART1 and USB are always MSP's, UART2 the receiver's, UART3 is what its setting says. */
+#define LINE_COUNT 4u
 #define LINE_UART2 1u
 #define LINE_UART3 2u
+#define LINE_USB 3u
+#define IDENTIFIER_USB 20u /* the ecosystem's, of a virtual serial port; UARTs have their number less one */
+#define BAUD_USB 5u        /* 115200, as any rate will do */
+
+static unsigned lists_identifier(unsigned number)
+{
+	return number == LINE_USB ? IDENTIFIER_USB : number;
+}
 
 /* By the setting uart3_function: it does one of them. */
 static const uint8_t uart3_functions[] = { 0, FUNCTION_MSP, FUNCTION_BLACKBOX };
@@ -147,9 +155,7 @@ static uint32_t lists_functions(const struct nf_settings *s, unsigned number)
 /* Return the setting of a line's baud rate for MSP and for a log; NF_SETTING_COUNT: there is none. */
 static unsigned lists_baud(unsigned number)
 {
-	return number == LINE_UART3 ? SETTING_AT_uart3_baud :
-	       number == LINE_UART2 ? NF_SETTING_COUNT :
-				      SETTING_AT_msp_baud;
+	return number == LINE_UART3 ? SETTING_AT_uart3_baud : number == 0u ? SETTING_AT_msp_baud : NF_SETTING_COUNT;
 }
 
 static unsigned lists_log_baud(unsigned number)
@@ -172,12 +178,12 @@ static enum nf_refusal lists_ports(struct msp_request *q, bool old)
 		msp_put_u8(q->reply, LINE_COUNT);
 	for (unsigned number = 0; number < LINE_COUNT; ++number) {
 		const uint32_t functions = lists_functions(q->settings, number);
-		msp_put_u8(q->reply, number);
+		msp_put_u8(q->reply, lists_identifier(number));
 		if (old)
 			msp_put_u16(q->reply, functions);
 		else
 			msp_put_u32(q->reply, functions);
-		msp_put_u8(q->reply, lists_baud_index(q->settings, lists_baud(number)));
+		msp_put_u8(q->reply, number == LINE_USB ? BAUD_USB : lists_baud_index(q->settings, lists_baud(number)));
 		msp_put_zeros(q->reply, 2); /* of GPS and telemetry: there are none */
 		msp_put_u8(q->reply, lists_baud_index(q->settings, lists_log_baud(number)));
 	}
@@ -218,17 +224,18 @@ static enum nf_refusal lists_set_functions(struct nf_settings *s, unsigned numbe
 /* Baud rates of functions that the line does not have are ignored: the app sends one for each function. */
 static enum nf_refusal lists_set_port(struct nf_settings *settings, struct msp_reader payload)
 {
-	const unsigned number = msp_take_u8(&payload);
+	const unsigned identifier = msp_take_u8(&payload);
+	const unsigned number = identifier == IDENTIFIER_USB ? LINE_USB : identifier;
 	const uint32_t functions = msp_take_u32(&payload);
 	const unsigned baud = msp_take_u8(&payload);
 
 	(void)msp_take_u16(&payload); /* of GPS and telemetry */
-	if (number >= LINE_COUNT)
+	if (number >= LINE_COUNT || lists_identifier(number) != identifier)
 		return NF_REFUSAL_INDEX;
 	const enum nf_refusal refusal = lists_set_functions(settings, number, functions);
 	if (refusal != NF_REFUSAL_NONE)
 		return refusal;
-	if (functions == FUNCTION_MSP)
+	if (functions == FUNCTION_MSP && number != LINE_USB)
 		return lists_set_baud(settings, lists_baud(number), baud);
 	return functions == FUNCTION_BLACKBOX ?
 		       lists_set_baud(settings, SETTING_AT_blackbox_baud, msp_take_u8(&payload)) :

@@ -169,6 +169,17 @@ static size_t msp_port_converse(struct msp_port *port, const struct firmware_sta
 	}
 }
 
+/* Is it the letter alone? A UART's noise may look like it, so only a port whose line has none hears it. */
+static bool msp_port_spells(struct msp_port *port, const struct firmware_status *status, const uint8_t *bytes,
+			    size_t count)
+{
+	const uint32_t now = port->services->samples(port->services->context), before = port->heard_at;
+
+	port->heard_at = now;
+	return count == 1 && bytes[0] == NF_MSP_ROM_LETTER && !msp_port_converses(port) && msp_idle(&port->msp) &&
+	       now - before >= status->gyro_rate_hz * NF_MSP_ROM_SILENCE_MS / 1000u;
+}
+
 bool msp_port_speaks(const struct msp_port *port, uint32_t step)
 {
 	return msp_port_converses(port) || msp_stream_due(&port->peer.stream, step);
@@ -181,6 +192,10 @@ size_t msp_port_serve(struct msp_port *port, const struct firmware_status *statu
 
 	if (count == 0 && !msp_port_converses(port) && msp_stream_due(&port->peer.stream, status->trace.step))
 		return msp_port_speak(port, reply, capacity);
+	if (port->letter && count > 0 && msp_port_spells(port, status, bytes, count)) {
+		(void)port->services->reboot(port->services->context, NF_REBOOT_ROM); /* refused while armed */
+		return 0;
+	}
 	for (size_t i = 0; i < count; ++i) {
 		if (msp_port_converses(port)) {
 			msp_port_hold(port, bytes[i]);

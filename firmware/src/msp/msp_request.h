@@ -12,6 +12,7 @@ struct msp_peer {
 	struct msp_stream stream; /* what it gets unasked */
 	bool locks;    /* it says that nothing may arm */
 	uint32_t test; /* the motor test that it opened by ARMING_DISABLE: its wish (motor_test.h); 0: none */
+	uint32_t opened; /* likewise by MOTOR_TEST */
 	bool spoilt;   /* a change of its was refused since it last had the settings stored */
 	uint64_t told; /* a bit for each configuration message that it has read: msp_configure.c */
 };

@@ -107,6 +107,9 @@ struct hal_handlers {
 	/* Bytes from the peer were lost, the line being faster than the program: a request half read is void. Same
 	 * context as `background`. */
 	void (*link_lost)(void *context, unsigned port);
+	/* Writes what a host is to call the board: its target and the policy that it flies, ended by 0. `capacity`: 3 at
+	 * least; what does not fit is cut. Before the first of the others. */
+	void (*name)(void *context, char *text, size_t capacity);
 	/* Has the program more to say on that port before it takes more bytes? They stay in the line until then, and
 	 * `link` is called with count 0. Same context as `background`. */
 	bool (*link_busy)(void *context, unsigned port);

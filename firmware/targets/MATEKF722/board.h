@@ -64,6 +64,11 @@
 #define BOARD_MSP2_DMA_RX ((struct dma_stream){ DMA1, 1, 4 })
 #define BOARD_MSP2_DMA_TX ((struct dma_stream){ DMA1, 3, 4 })
 
+#define BOARD_USB_DM ((struct pin){ GPIOA, 11 })
+#define BOARD_USB_DP ((struct pin){ GPIOA, 12 })
+#define BOARD_USB_AF 10u
+#define BOARD_USB_VBUS ((struct pin){ GPIOB, 12 }) /* the cable's supply, divided */
+
 #define BOARD_CARD_SPI SPI3
 #define BOARD_CARD_AF 6u
 #define BOARD_CARD_CS ((struct pin){ GPIOC, 1 })

@@ -363,6 +363,27 @@ class Engine:
         self._rings.append(callback)
         return self.alarms[name]
 
+    def new_answer(self, address: int) -> int:
+        """Return the number of an answer for the register at `address` of AHB2. Raises ValueError.
+
+        A register that a program polls is read from its peripheral once, until something happens there.
+        """
+        number = int(self.library.engine_new_answer(self.handle, address))
+        if number < 0:
+            raise ValueError(f"no room for an answer of 0x{address:08X}, or it is not of AHB2")
+        return number
+
+    def answer(self, number: int, value: int) -> None:
+        """Let that register's word read as `value` until a store to AHB2 or `forget_answers`."""
+        self.library.engine_answer(self.handle, number, value)
+
+    def forget_answers(self) -> None:
+        self.library.engine_forget_answers(self.handle)
+
+    def answered(self, number: int) -> int:
+        """Return how many reads were answered so since the last call."""
+        return int(self.library.engine_answered(self.handle, number))
+
     def irq(self, number: int, asserted: bool) -> None:
         """Set the level of interrupt line `number` (0..103, as in the vendor's table).
 

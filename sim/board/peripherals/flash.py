@@ -20,8 +20,8 @@ KEYS = (0x45670123, 0xCDEF89AB)  # RM0431 3.3.5
 OPTION_KEYS = (0x08192A3B, 0x4C5D6E7F)  # RM0431 3.4.2
 # Typical times by parallelism PSIZE 0 to 2 (8, 16, 32 bits), data sheet DS11853, flash memory programming.
 PROGRAM_CYCLES = 16 * MICROSECOND
-_ERASE_MS = {16: (400, 300, 250), 64: (1200, 700, 550), 128: (2000, 1300, 1000)}  # by sector size [KiB]
-_MASS_ERASE_MS = (8000, 5500, 4000)
+ERASE_MS = {16: (400, 300, 250), 64: (1200, 700, 550), 128: (2000, 1300, 1000)}  # by sector size [KiB]
+MASS_ERASE_MS = (8000, 5500, 4000)
 _OPTIONS_MS = 250  # as the smallest sector
 _MILLISECOND = 1000 * MICROSECOND
 _ERRORS = ("OPERR", "WRPERR", "PGAERR", "PGPERR", "ERSERR")
@@ -178,10 +178,10 @@ class Flash(Device):
             if self.options.protects(number):
                 self._raise("WRPERR")
                 return
-            time = _ERASE_MS[sector.size >> 10][parallel] * _MILLISECOND
+            time = ERASE_MS[sector.size >> 10][parallel] * _MILLISECOND
             self._begin(("erase", sector.address, sector.size, 0), time)
         elif modes == ["MER"]:
-            self._begin(("erase", FLASH_BASE, FLASH_BYTES, 0), _MASS_ERASE_MS[parallel] * _MILLISECOND)
+            self._begin(("erase", FLASH_BASE, FLASH_BYTES, 0), MASS_ERASE_MS[parallel] * _MILLISECOND)
         else:
             got = " and ".join(modes) or "neither SER nor MER"
             fail(f"FLASH_CR STRT is set with {got}, expected one of SER and MER")

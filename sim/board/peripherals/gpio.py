@@ -40,6 +40,8 @@ SIGNALS: dict[str, tuple[str, int, int]] = {
     "UART4_RX": ("A", 1, 8),
     "UART5_TX": ("C", 12, 8),
     "UART5_RX": ("D", 2, 8),
+    "OTG_FS_DM": ("A", 11, 10),
+    "OTG_FS_DP": ("A", 12, 10),
     "ADC1_IN8": ("B", 0, ANALOG),
     "ADC1_IN10": ("C", 0, ANALOG),
     "ADC1_IN14": ("C", 4, ANALOG),

@@ -42,8 +42,11 @@ _FLAGS = {  # RCC_CSR after a reset, beside those that are still set; NRST is pu
     "software": ("SFTRSTF", "PADRSTF"),
     "iwdg": ("WDGRSTF", "PADRSTF"),
 }
-_ENABLES = {"AHB1ENR": "AHB1RSTR", "APB1ENR": "APB1RSTR", "APB2ENR": "APB2RSTR"}
-_SHARED = {"ADC1": ("ADC1", "ADC_Common")}  # devices behind one enable bit
+_ENABLES = {"AHB1ENR": "AHB1RSTR", "AHB2ENR": "AHB2RSTR", "APB1ENR": "APB1RSTR", "APB2ENR": "APB2RSTR"}
+# Devices behind one bit that enables them, and behind one that resets them.
+_OTG = ("OTG_FS_GLOBAL", "OTG_FS_DEVICE", "OTG_FS_PWRCLK", *(f"OTG_FS_FIFO{i}" for i in range(6)))
+_CLOCKED = {"ADC1": ("ADC1", "ADC_Common"), "OTGFS": _OTG}
+_RESET = {"ADC": ("ADC1", "ADC_Common"), "OTGFS": _OTG}
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class Rcc(Device):
         for register in _ENABLES:
             for field in self.block.registers[register].fields.values():
                 owner = field.name.removesuffix("EN")
-                for name in _SHARED.get(owner, (owner,)):
+                for name in _CLOCKED.get(owner, (owner,)):
                     if field.modelled and name in devices:
                         devices[name].gate = f"RCC_{register} {field.name}"
                         self._gated[name] = devices[name]
@@ -162,6 +165,14 @@ class Rcc(Device):
         if select == 3:
             self.engine.fail(f"{name} is clocked by LSE, which this board does not have")
         return (bus, self.clocks.core, HSI_HZ)[select]
+
+    @property
+    def usb_hz(self) -> float:
+        """Clock of OTG_FS [Hz], from the PLL (CK48MSEL 0); 0 while that is off."""
+        if not self.get("CR", "PLLRDY"):
+            return 0.0
+        m, n, q = (self.get("PLLCFGR", field) for field in ("PLLM", "PLLN", "PLLQ"))
+        return (HSE_HZ if self.get("PLLCFGR", "PLLSRC") else HSI_HZ) / m * n / q
 
     # What the image writes
 
@@ -309,7 +320,7 @@ class Rcc(Device):
         for field in self.block.registers[register].fields.values():
             if changed & field.mask:
                 name = field.name.removesuffix("RST")
-                for device in _SHARED.get(f"{name}1", (name,)) if name == "ADC" else (name,):
+                for device in _RESET.get(name, (name,)):
                     if device in self._gated:
                         self._gated[device].reset()
 

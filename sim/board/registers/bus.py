@@ -151,6 +151,7 @@ class Device(Kept):
         self.block = load_table().blocks[name]
         self.gate = ""  # the bit that clocks it, "RCC_AHB1ENR GPIOAEN"; empty: always clocked
         self.clocked = True
+        self.clears: frozenset[str] = frozenset()  # registers of flags that a 1 clears: all ones are no error
         self.words = self._reset_words()
 
     @property
@@ -191,16 +192,18 @@ class Device(Kept):
 class _Slot:
     """A register in its place: the device behind it and how often it was touched."""
 
-    __slots__ = ("device", "fixed", "read", "reads", "register", "write", "writes")
+    __slots__ = ("answer", "device", "fixed", "plain", "read", "reads", "register", "write", "writes")
 
     def __init__(self, device: Device, register: Register) -> None:
         self.device, self.register = device, register
-        self.fixed = register.reserved | register.unmodelled
         name = register.name
+        self.fixed = 0 if name in device.clears else register.reserved | register.unmodelled
         self.read: Callable[[], int] = getattr(device, f"read_{name.lower()}", lambda: device.words[name])
         self.write: Callable[[int], object] = getattr(
             device, f"write_{name.lower()}", lambda value: device.keep(name, value)
         )
+        self.plain = "r" in register.access and 4 in register.sizes  # a word can be read
+        self.answer: int | None = None  # the engine's number, where it reads the same until something happens
         self.reads = self.writes = 0
 
 
@@ -225,7 +228,11 @@ class _Window:
 
     @property
     def name(self) -> str:
-        return " and ".join(block.name for block in self.blocks)
+        """Blocks that begin in it, or the one that goes on in it with the distance from its base."""
+        return " and ".join(
+            block.name + (f"+0x{self.base - block.base:X}" if self.base > block.base else "")
+            for block in self.blocks
+        )
 
     def add(self, device: Device) -> None:
         self.devices.append(device)
@@ -235,6 +242,13 @@ class _Window:
                 self.slots[offset] = _Slot(device, register)
 
     def read(self, offset: int, size: int) -> int:
+        slot = self.slots.get(offset)
+        if slot is not None and slot.plain and size == 4 and slot.device.clocked:
+            slot.reads += 1
+            value = slot.read()
+            if slot.answer is not None:
+                self._engine.answer(slot.answer, value)
+            return value
         slot = self._slot(offset, size, "read")
         if "r" not in slot.register.access:
             self._fail(slot, "is read, but it is write-only")
@@ -262,7 +276,14 @@ class _Window:
         for device in self.devices:
             device.reset()
 
+    def count_answers(self) -> None:
+        """Count reads that the engine has answered itself."""
+        for slot in self.slots.values():
+            if slot.answer is not None:
+                slot.reads += self._engine.answered(slot.answer)
+
     def state(self) -> Any:  # noqa: ANN401
+        self.count_answers()
         return {
             "devices": [device.state() for device in self.devices],
             "companions": [companion.state() for companion in self.companions],
@@ -270,6 +291,7 @@ class _Window:
         }
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
+        self.count_answers()
         for device, saved in zip(self.devices, state["devices"], strict=True):
             device.restore(saved)
         for companion, saved in zip(self.companions, state["companions"], strict=True):
@@ -330,6 +352,7 @@ class Registers:
     """All windows of the chip's peripherals, modelled or not, so that each wrong access is named."""
 
     def __init__(self, engine: Engine) -> None:
+        self._engine = engine
         self._windows: dict[int, _Window] = {}
         self.devices: dict[str, Device] = {}
         for block in load_table().blocks.values():
@@ -348,6 +371,16 @@ class Registers:
     def accompany(self, device: Device, companion: Kept) -> None:
         """Put `companion` into snapshots with `device`, which was added before."""
         self._window(device).companions.append(companion)
+
+    def keep_answers(self, device: Device, *names: str) -> None:
+        """Let the engine answer reads of these registers of AHB2 with the last value.
+
+        `device` says when that may have changed, by `Engine.forget_answers`; a store to AHB2 says so, too.
+        """
+        window = self._window(device)
+        for name in names:
+            offset = device.block.base + device.block.registers[name].offset - window.base
+            window.slots[offset].answer = self._engine.new_answer(window.base + offset)
 
     def window_name(self, device: Device) -> str:
         """Return the engine's name of the window that `device` answers in."""
@@ -368,6 +401,7 @@ class Registers:
         """Return every register that the image touched, in order of address."""
         touched = []
         for _, window in sorted(self._windows.items()):
+            window.count_answers()
             for _, slot in sorted(window.slots.items()):
                 counts = slot.device.counts(slot.register) or (slot.reads, slot.writes)
                 if any(counts):

@@ -3,9 +3,10 @@
     python -m neuroflight.sim.board.registers.extract STM32F7x2.svd
 
 The emulator checks every access against it, and the firmware's tests the firmware's header: addresses, reset
-values, access rights, fields and interrupt numbers are the vendor's. What the emulator adds stands below: the
-registers that it models and, of each, the fields. The header is written by hand from the manuals and is no
-source of this table, so that an error in one shows against the other.
+values, access rights, fields and interrupt numbers are the vendor's, but where usb_registers.py corrects them
+and says why. What the emulator adds stands below: the registers that it models and, of each, the fields. The
+header is written by hand from the manuals and is no source of this table, so that an error in one shows
+against the other.
 """
 
 from __future__ import annotations
@@ -20,6 +21,16 @@ from pathlib import Path
 
 from neuroflight.sim.board.registers.bus import TABLE, digest
 from neuroflight.sim.board.registers.core_registers import CORE_REGISTERS
+from neuroflight.sim.board.registers.usb_registers import (
+    USB_CORRECTIONS,
+    USB_MODELLED,
+    USB_SIZES,
+    USB_STATED,
+    Correction,
+    usb_field,
+    usb_fifos,
+    usb_title,
+)
 from neuroflight.toolchain.errors import BuildError, NeuroflightError
 from neuroflight.toolchain.files import write_text_if_changed
 
@@ -72,7 +83,9 @@ MODELLED: dict[str, dict[str, str]] = {
         "AHB1RSTR": "GPIOARST GPIOBRST GPIOCRST GPIODRST DMA1RST DMA2RST",
         "APB1RSTR": "TIM2RST TIM3RST TIM4RST TIM5RST SPI3RST USART2RST USART3RST UART4RST UART5RST PWRRST",
         "APB2RSTR": "TIM1RST TIM8RST USART1RST ADCRST SPI1RST SYSCFGRST",
+        "AHB2RSTR": "OTGFSRST",
         "AHB1ENR": "GPIOAEN GPIOBEN GPIOCEN GPIODEN DMA1EN DMA2EN DTCMRAMEN",
+        "AHB2ENR": "OTGFSEN",
         "APB1ENR": "TIM2EN TIM3EN TIM4EN TIM5EN SPI3EN USART2EN USART3EN UART4EN UART5EN PWREN",
         "APB2ENR": "TIM1EN TIM8EN USART1EN ADC1EN SPI1EN SYSCFGEN",
         "CSR": _ALL,
@@ -101,6 +114,7 @@ MODELLED: dict[str, dict[str, str]] = {
     "ADC_Common": {"CCR": "ADCPRE"},
     "IWDG": dict.fromkeys(["KR", "PR", "RLR", "SR"], _ALL),
     "DBGMCU": {"IDCODE": _ALL, "APB1_FZ": "DBG_IWDG_STOP"},
+    **USB_MODELLED,
 }
 
 # Accesses narrower than a word (RM0431: GPIO by byte, half-word and word; SPI_DR packs data by width).
@@ -126,6 +140,7 @@ def extract(svd: Path) -> dict[str, object]:
         for name in sorted(named, key=lambda n: _number(named[n], "baseAddress"))
         if _number(named[name], "baseAddress") < _CORE or name in MODELLED
     }
+    peripherals = dict(sorted((peripherals | usb_fifos()).items(), key=lambda p: int(str(p[1]["base"]), 16)))
     interrupts = sorted(
         {(_number(node, "value"), _text(node, "name").upper()) for node in root.iter("interrupt")}
     )
@@ -165,16 +180,18 @@ def _peripheral(name: str, named: dict[str, ET.Element]) -> dict[str, object]:
     source = named[node.get("derivedFrom") or name]
     block = source.find("addressBlock")
     modelled = MODELLED.get(name, {})
+    described = [(n, offset, usb_title(name, title)) for n, offset, title in _registers(source)]
     registers = [
-        _register(register, offset, title, modelled.get(title), _sizes(name, title))
-        for register, offset, title in sorted(_registers(source), key=lambda r: r[1])
+        _register(register, offset, f"{name}.{title}", modelled.get(title))
+        for register, offset, title in sorted(described, key=lambda r: r[1])
     ]
+    registers += USB_STATED.get(name, [])
     lacking = sorted(set(modelled) - {str(r["name"]) for r in registers})
     if lacking:
         raise BuildError(f"{name} of the description lacks {', '.join(lacking)}")
     return {
         "base": _hex(_number(node, "baseAddress")),
-        "size": _hex(_number(block, "size") if block is not None else 0x400),
+        "size": _hex(USB_SIZES.get(name, _number(block, "size") if block is not None else 0x400)),
         "registers": registers if modelled else [],
     }
 
@@ -197,36 +214,41 @@ def _registers(source: ET.Element) -> Iterator[tuple[ET.Element, int, str]]:
                 yield node, base + step * i, title.replace("%s", indices[i])
 
 
-def _register(
-    node: ET.Element, offset: int, name: str, modelled: str | None, sizes: tuple[int, ...]
-) -> dict[str, object]:
+def _register(node: ET.Element, offset: int, full: str, modelled: str | None) -> dict[str, object]:
+    peripheral, name = full.split(".")
     if modelled is None:
         return {"name": name, "offset": _hex(offset)}
-    fields = {_text(f, "name"): f for f in node.iter("field")}
+    right = USB_CORRECTIONS.get(full, Correction())
+    fields: dict[str, tuple[int, int, str]] = {
+        usb_field(peripheral, _text(f, "name")): (
+            *_bits(f),
+            _ACCESS[f.findtext("access") or node.findtext("access")],
+        )
+        for f in node.iter("field")
+    }
+    fields |= right.fields
+    fields |= {key: (*fields[key][:2], access) for key, access in right.rights.items()}
     wanted = set(fields) if modelled == _ALL else set(modelled.split())
     if wanted - set(fields):
         raise BuildError(f"{name} of the description has no field {', '.join(sorted(wanted - set(fields)))}")
+    reset = int(node.findtext("resetValue") or "0", 0) if right.reset is None else right.reset
     return {
         "name": name,
         "offset": _hex(offset),
-        "reset": _hex(int(node.findtext("resetValue") or "0", 0)),
-        "access": _access(node, list(fields.values())),
-        "sizes": list(sizes),
+        "reset": _hex(reset),
+        "access": right.access or _access(node, list(fields.values())),
+        "sizes": list(_sizes(peripheral, name)),
         "fields": {
-            name: [
-                *_bits(field),
-                _ACCESS[field.findtext("access") or node.findtext("access")],
-                int(name in wanted),
-            ]
-            for name, field in sorted(fields.items(), key=lambda f: _number(f[1], "bitOffset"))
+            key: [lsb, width, right.access or access, int(key in wanted)]
+            for key, (lsb, width, access) in sorted(fields.items(), key=lambda f: f[1][0])
         },
     }
 
 
-def _access(node: ET.Element, fields: list[ET.Element]) -> str:
+def _access(node: ET.Element, fields: list[tuple[int, int, str]]) -> str:
     if node.findtext("access"):
         return _ACCESS[node.findtext("access")]
-    rights = {letter for f in fields for letter in _ACCESS[f.findtext("access")]}
+    rights = {letter for _, _, access in fields for letter in access}
     return "".join(letter for letter in "rw" if letter in rights)
 
 

@@ -1,9 +1,9 @@
-"""The boot loader in the chip's ROM, as far as USART1 goes: what a program in system memory does.
+"""The boot loader in the chip's ROM, on USART1 and USB: what a program in system memory does.
 
 ST's program is not at hand, so no instruction is executed while the core stands in system memory. This stands
 for it: it sets up pins and UART by their registers, measures the length of a bit of the first 0x7F, speaks
-AN3155, and erases and programs through the flash controller's registers, which takes the time that it takes
-on the chip and can lose power in the middle. The real one listens on USB, CAN, I2C, SPI and USART3 as well.
+AN3155, and is ST's DFU device (`dfu.py`) at the end of a USB cable. Who speaks first is served, and nobody
+else until the next reset (AN2606). The real one listens on CAN, I2C, SPI and USART3 as well.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from enum import Enum, auto
 
 from neuroflight.sim.board.core.context import Kept
 from neuroflight.sim.board.core.engine import POWER_UP, Engine
-from neuroflight.sim.board.peripherals.flash import KEYS, Flash
+from neuroflight.sim.board.peripherals.flash import Flash
 from neuroflight.sim.board.peripherals.iwdg import Iwdg
 from neuroflight.sim.board.peripherals.rcc import Rcc
 from neuroflight.sim.board.peripherals.usart import Format, Usart
 from neuroflight.sim.board.registers.bus import load_table
+from neuroflight.sim.board.rom.dfu import DfuDevice
+from neuroflight.sim.board.rom.programmer import Programmer
 from neuroflight.sim.board.rom.protocol import (
     ACCEPTED,
     ACK,
@@ -43,9 +45,6 @@ _BAUD_TOLERANCE = 1.03
 STACK, RESET = DTCM.address + 0x3000, SYSTEM_MEMORY.address + 0x201  # where ours are, not where ST's are
 VERSION_ADDRESS, VERSION = 0x1FF0EDBE, 0x90  # AN2606: boot loader V9.0
 CONTENT = ((SYSTEM_MEMORY.address, struct.pack("<2I", STACK, RESET)), (VERSION_ADDRESS, bytes([VERSION])))
-PARALLELISM = 0  # FLASH_CR PSIZE: by bytes, as fits the lowest supply, which the ROM has to reckon with
-_UNIT = 1 << PARALLELISM  # bytes programmed at once
-_MASS = -1  # in place of a sector's number
 _HSI_HZ = 16_000_000
 _SYSTICK_CTRL, _NVIC_ISER0, _NVIC_WORDS = 0xE000E010, 0xE000E100, 4
 
@@ -54,23 +53,34 @@ class Stage(Enum):
     """Stages of the program."""
 
     OFF = auto()  # the core is not in the ROM
-    MEASURING = auto()  # waiting for the first 0x7F
-    SERVING = auto()
+    MEASURING = auto()  # waiting for the first 0x7F, or for a USB host
+    SERVING = auto()  # USART1
+    DFU = auto()  # USB
 
 
 class BootLoader(Kept):
     """The program in the ROM. Its state goes into snapshots beside USART1's."""
 
-    kept = ("stage", "_state", "_sending", "_sectors", "_address", "_data", "_answers", "_start", "_waits")
+    kept = ("stage", "_state", "_sending", "_start", "_waits")
 
     def __init__(self, engine: Engine, rcc: Rcc, flash: Flash, usart: Usart, iwdg: Iwdg) -> None:
         """Set up the program after the devices that it uses, whose alarms then go first."""
         self._engine, self._rcc, self._flash, self._usart, self._iwdg = engine, rcc, flash, usart, iwdg
+        self.programmer = Programmer(engine, flash)
         self._next = engine.alarm("rom", self._go_on)
+        self.dfu = DfuDevice(
+            engine,
+            flash,
+            self.programmer,
+            listens=lambda: self.stage in (Stage.MEASURING, Stage.DFU),
+            claim=self._serve_usb,
+            start=self._start_program,
+        )
         self._leave()
         engine.on_rom = self._enter
         engine.on_system_reset(lambda cause: self._leave())
         usart.on_measured, usart.on_received = self._measure, self._poll
+        self.programmer.on_done = self._flash_done
         for address, data in CONTENT:
             engine.set_memory(address, data)
 
@@ -85,9 +95,8 @@ class BootLoader(Kept):
         self.stage = Stage.OFF
         self._state: State = START
         self._sending = b""  # what is left to answer
-        self._sectors: tuple[int, ...] = ()  # still to be erased
-        self._address, self._data = 0, b""  # still to be programmed
-        self._answers = False  # ACK is due when nothing is left to erase and to program
+        self.programmer.stop()
+        self.dfu.reset()
         self._waits = False  # for the alarm that makes it go on
         self._start: int | None = None  # address to start from when the answer has gone
 
@@ -96,6 +105,7 @@ class BootLoader(Kept):
         self._expect_reset_state()
         self._leave()
         self.stage = Stage.MEASURING
+        self.dfu.enter()
         self._engine.set_memory(DTCM.address, bytes([POWER_UP ^ 0xFF]) * OWN_RAM_BYTES)
         self._set("RCC", "AHB1ENR", "GPIOAEN", 1)
         self._set("RCC", "APB2ENR", "USART1EN", 1)
@@ -141,8 +151,7 @@ class BootLoader(Kept):
             self._set("RCC", register, field, 0)
         self._set("RCC", "APB2ENR", "USART1EN", 0)
         self._set("RCC", "AHB1ENR", "GPIOAEN", 0)
-        if not self._flash.get("CR", "LOCK"):
-            self._set("FLASH", "CR", "LOCK", 1)
+        self.programmer.lock()
         self._leave()
         self._engine.set_register(13, stack & ~3)
         self._engine.pc = reset & ~1
@@ -181,7 +190,7 @@ class BootLoader(Kept):
 
     @property
     def _busy(self) -> bool:
-        return bool(self._waits or self._sending or self._sectors or self._data or self._answers)
+        return bool(self._waits or self._sending or self.programmer.busy)
 
     def _act(self, action: Action) -> None:
         match action:
@@ -190,31 +199,33 @@ class BootLoader(Kept):
             case Read(address, size):
                 self._sending = bytes([ACK]) + self._engine.memory(address, size)
             case Erase(sectors):
-                self._sectors, self._answers = (_MASS,) if sectors is None else sectors, True
-                self._unlock()
+                self.programmer.erase(sectors)
+                return
             case Write(address, data):
-                self._answers = True
-                if address < FLASH.address or address >= FLASH.address + FLASH.size:
-                    self._engine.set_memory(address, data)
-                else:
-                    self._address, self._data = address, data
-                    self._unlock()
+                if FLASH.address <= address < FLASH.address + FLASH.size:
+                    self.programmer.program(address, data)
+                    return
+                self._engine.set_memory(address, data)
+                self._sending = bytes([ACK])
             case Go(address):
                 self._sending, self._start = bytes([ACK]), address
         self._go_on()
 
+    def _flash_done(self) -> None:
+        """Answer when flash has taken what it was told."""
+        if self.stage is Stage.DFU:
+            self.dfu.flash_done()
+            return
+        self._sending = bytes([ACK])
+        self._go_on()
+
+    def _serve_usb(self) -> None:
+        self.stage = Stage.DFU
+
     def _go_on(self) -> None:
-        """Send the next byte, erase the next sector or program the next bytes."""
+        """Send the next byte, start what is to start, or process what has come."""
         self._waits = False
-        if self._sectors:
-            self._erase_next()
-        elif self._data:
-            self._program_next()
-        elif self._answers:
-            self._answers = False
-            self._sending = bytes([ACK])
-            self._go_on()
-        elif self._sending:
+        if self._sending:
             self._usart.write_tdr(self._sending[0])
             self._sending = self._sending[1:]
             self._set_alarm(self._engine.cycle + self._usart.format.byte_cycles)
@@ -223,41 +234,6 @@ class BootLoader(Kept):
         else:
             self._poll()
 
-    # ---- flash ----
-
-    def _unlock(self) -> None:
-        if self._flash.get("CR", "LOCK"):
-            for key in KEYS:
-                self._flash.write_keyr(key)
-
-    def _erase_next(self) -> None:
-        """Begin with the first of the sectors. A write-protected one stays, without an error."""
-        sector, self._sectors = self._sectors[0], self._sectors[1:]
-        command, number = ("MER", 0) if sector == _MASS else ("SER", sector << self._field_lsb("SNB"))
-        order = self._flash.mask("CR", command, "STRT") | number | PARALLELISM << self._field_lsb("PSIZE")
-        self._flash.write_cr(order)
-        self._wait()
-
-    def _program_next(self) -> None:
-        """Program the next unit. If flash is not erased, it keeps the bits that both have set."""
-        flash, address = self._flash, self._address
-        size = _UNIT if not address % _UNIT and len(self._data) >= _UNIT else 1
-        raw, self._data = self._data[:size], self._data[size:]
-        self._address += size
-        old = int.from_bytes(self._engine.memory(address, size), "little")
-        programming = flash.mask("CR", "PG") | (size.bit_length() - 1) << self._field_lsb("PSIZE")
-        if flash.words["CR"] != programming:
-            flash.write_cr(programming)
-        flash.program(address, size, int.from_bytes(raw, "little") & old)
-        self._wait()
-
-    def _wait(self) -> None:
-        until = self._flash.busy_until
-        self._set_alarm(self._engine.cycle if until is None else until)
-
     def _set_alarm(self, cycle: int) -> None:
         self._waits = True
         self._next.set(cycle)
-
-    def _field_lsb(self, field: str) -> int:
-        return self._flash.block.registers["CR"].fields[field].lsb

@@ -141,7 +141,7 @@ def _command(state: State) -> tuple[State, Action]:
 def _address(state: State) -> tuple[State, Action]:
     address = int.from_bytes(state.taken[:4], "big")
     places = READABLE if state.command == READ else WRITABLE
-    if _checksum(state.taken) or not _lies_in(places, address, 1):
+    if _checksum(state.taken) or not lies_in(places, address, 1):
         return START, REFUSED
     if state.command == GO:
         return START, Go(address)
@@ -151,14 +151,14 @@ def _address(state: State) -> tuple[State, Action]:
 
 def _read_count(state: State) -> tuple[State, Action]:
     count, complement = state.taken
-    if count ^ complement != 0xFF or not _lies_in(READABLE, state.address, count + 1):
+    if count ^ complement != 0xFF or not lies_in(READABLE, state.address, count + 1):
         return START, REFUSED
     return START, Read(state.address, count + 1)
 
 
 def _write_data(state: State) -> tuple[State, Action]:
     data = state.taken[1:-1]
-    if _checksum(state.taken) or not _lies_in(WRITABLE, state.address, len(data)):
+    if _checksum(state.taken) or not lies_in(WRITABLE, state.address, len(data)):
         return START, REFUSED
     return START, Write(state.address, data)
 
@@ -182,7 +182,8 @@ def _erase_sectors(state: State) -> tuple[State, Action]:
     return START, Erase(sectors)
 
 
-def _lies_in(places: tuple[Region, ...], address: int, size: int) -> bool:
+def lies_in(places: tuple[Region, ...], address: int, size: int) -> bool:
+    """Return whether `size` bytes from `address` on lie in one of the places."""
     return any(p.address <= address and address + size <= p.address + p.size for p in places)
 
 

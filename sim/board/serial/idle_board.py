@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
 from neuroflight.sim.board.devices.sd_card import SdCard
 from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
 from neuroflight.sim.board.peripherals.usart import Format
-from neuroflight.sim.board.serial.bridge import MSP_UART, Bridge, LineTransport, UartLine
+from neuroflight.sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
 from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BANK_B,
@@ -143,9 +144,16 @@ class Keeper:
             self._keep(self._idle.flash())
 
 
+class Served(Protocol):
+    """A way to the board for programs elsewhere: a Bridge, a USB/IP server."""
+
+    def exchange(self, cycles: int) -> None:
+        """Carry what has come, either way, before the board runs for `cycles`. Never waits."""
+
+
 def serve(
     idle: IdleBoard,
-    bridges: Sequence[Bridge],
+    bridges: Sequence[Served],
     *,
     seconds: float | None = None,
     update: Callable[[], None] = lambda: None,

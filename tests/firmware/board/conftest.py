@@ -77,6 +77,7 @@ FOLLOWS = {
 CLOCK_OF = {
     **{f"GPIO{port}": ("RCC_AHB1ENR", f"GPIO{port}EN") for port in "ABC"},
     **{f"DMA{number}": ("RCC_AHB1ENR", f"DMA{number}EN") for number in (1, 2)},
+    "OTG": ("RCC_AHB2ENR", "OTGFSEN"),
     **{name: ("RCC_APB1ENR", f"{name}EN") for name in ("PWR", "TIM3", "USART2", "USART3")},
     **{name: ("RCC_APB2ENR", f"{name}EN") for name in ("TIM1", "TIM8", "ADC1", "USART1", "SPI1", "SYSCFG")},
 }
@@ -191,7 +192,7 @@ class Sketch:
         for base, size in (
             *((FLASH_ALIAS, FLASH_BYTES), (FLASH_BASE, FLASH_BYTES)),
             *((ram.address, ram.size) for ram in (ITCM, DTCM, SRAM1, SRAM2)),
-            *((0x1FF07000, 0x1000), (0x40000000, 0x80000), (0xE0000000, 0x100000)),
+            *((0x1FF07000, 0x1000), (0x40000000, 0x80000), (0x50000000, 0x4000), (0xE0000000, 0x100000)),
         ):
             self.uc.mem_map(base, size)
         self.uc.mem_write(FLASH_BASE, b"\xff" * FLASH_BYTES)
@@ -372,5 +373,5 @@ def make_sketch(elf: ELFFile, registers: Sequence[Register]) -> Callable[..., Sk
 def make_booted(make_sketch: Callable[..., Sketch], symbols: dict[str, int]) -> Callable[[], Sketch]:
     """Makes boards without a gyro chip in their background loop; reset and start-up ran once for all."""
     first = make_sketch()
-    first.run(symbols["msp_uart_serve"])
+    first.run(symbols["msp_lines_serve"])
     return first.copy

@@ -17,7 +17,7 @@ _USART = "CR1 CR2 CR3 BRR ISR ICR RDR TDR"
 _IN_USE = {
     "FLASH": "ACR KEYR SR CR OPTCR",
     "PWR": "CR1 CSR1",
-    "RCC": "CR PLLCFGR CFGR CIR AHB1ENR APB1ENR APB2ENR CSR",
+    "RCC": "CR PLLCFGR CFGR CIR AHB1ENR AHB2ENR APB1ENR APB2ENR CSR",
     "GPIOA": _GPIO,
     "GPIOB": _GPIO,
     "GPIOC": _GPIO,
@@ -37,8 +37,13 @@ _IN_USE = {
     "USART1": _USART,
     "USART2": _USART,
     "USART3": _USART,
+    "OTG_FS_GLOBAL": "GOTGCTL GUSBCFG GRSTCTL GINTSTS GRXSTSP GRXFSIZ DIEPTXF0 DIEPTXF GCCFG",
+    "OTG_FS_DEVICE": "DCFG DCTL DSTS DIEPMSK DAINTMSK DIEPCTL DIEPINT DIEPTSIZ DOEPCTL DOEPTSIZ",
+    "OTG_FS_PWRCLK": "PCGCCTL",
+    **{f"OTG_FS_FIFO{n}": "FIFO" for n in range(3)},
 }
 _STREAMS = {"DMA1": "012357", "DMA2": "0123567"}  # of the controllers' eight
+_ENDPOINTS = "012"  # of USB's six
 _MANUALS = {"ADC_Common": "ADC", "APB1_FZ": "APB1FZ"}  # the manual's names where the vendor's differ
 _FAMILIES = re.compile(r"(GPIO|DMA|TIM|SPI|USART)[A-Z0-9]+")  # instances that share their registers' names
 
@@ -52,6 +57,7 @@ def registers_in_use(table: Table | None = None) -> tuple[Register, ...]:
 def _peripheral(table: Table, name: str) -> Iterator[Register]:
     block, wanted = table.blocks[name], set(_IN_USE[name].split())
     family = match[1] if (match := _FAMILIES.fullmatch(name)) else _MANUALS.get(name, name)
+    family = "OTG" if name.startswith("OTG_FS_") else family
     missing = set(wanted)
     for vendors in block.registers.values():
         title, index = _MANUALS.get(vendors.name, vendors.name), ""
@@ -60,13 +66,18 @@ def _peripheral(table: Table, name: str) -> Iterator[Register]:
             title, index = f"S{one[2]}", one[1]
         elif family == "TIM" and (one := re.fullmatch(r"CCR([1-4])", title)):
             title, index = "CCR", one[1]
-        if title not in wanted or (family == "DMA" and index and index not in _STREAMS[name]):
+        elif family == "OTG" and title == "DFIFO":
+            title, index = "FIFO", name[-1]
+        elif family == "OTG" and (one := re.fullmatch(r"(D[IO]EP\w+?)(\d)", title)) and title != "DIEPTXF0":
+            title, index = one[1], one[2]
+        numbers = {"DMA": _STREAMS.get(name, ""), "OTG": _ENDPOINTS}.get(family, index)
+        if title not in wanted or index not in numbers:
             continue
         missing.discard(title)
         assert vendors.modelled, f"{name}: the table has no fields of {vendors.name}"
         yield Register(
             name=f"{family}_{title}",
-            instance=_MANUALS.get(name, name),
+            instance="OTG" if family == "OTG" else _MANUALS.get(name, name),
             index=index,
             address=block.base + vendors.offset,
             access=vendors.access,

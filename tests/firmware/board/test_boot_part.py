@@ -130,11 +130,11 @@ NOT_STARTED: dict[str, Callable[[Build], bytes]] = {
 FAILS_EACH_START: dict[str, tuple[str, bytes]] = {
     "faults when memory is in place": ("main", UNDEFINED),
     "faults when the hardware is up": ("background_start", UNDEFINED),
-    "faults in its loop": ("msp_uart_serve", UNDEFINED),
+    "faults in its loop": ("msp_lines_serve", UNDEFINED),
     "hangs at its first instruction": ("reset_handler", LOOP),
     "hangs before it starts its watchdog": ("hal_init", LOOP),
     "hangs in its boot": ("background_start", LOOP),
-    "hangs in its loop": ("msp_uart_serve", LOOP),
+    "hangs in its loop": ("msp_lines_serve", LOOP),
 }
 
 

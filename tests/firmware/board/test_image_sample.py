@@ -23,7 +23,7 @@ class Flight:
 
     def __init__(self, sketch: Any, symbols: dict[str, int], chip: Any) -> None:
         self.sketch, self.symbols, self.chip = sketch, symbols, chip
-        sketch.run(symbols["msp_uart_serve"])
+        sketch.run(symbols["msp_lines_serve"])
         self.samples: list[tuple[Any, ...]] = []
         self.lost: list[int] = []  # before each sample
         self.silences = 0
@@ -174,7 +174,7 @@ def test_a_chip_that_does_not_keep_a_setting_is_not_flown_when_configured(
     sketch = make_sketch(cycles_a_read=2000)
     chip = make_chip(sketch, 0x70)
     chip.registers = Forgetful(chip.registers)
-    sketch.run(symbols["msp_uart_serve"])
+    sketch.run(symbols["msp_lines_serve"])
     assert sketch.field("EXTI_IMR", "IM3") == 0
 
 

@@ -52,7 +52,7 @@ def test_the_program_keeps_to_its_bound_when_started(
     analysed: StackUse, sketch: Any, symbols: dict[str, int]
 ) -> None:
     with watched(sketch) as lowest:
-        sketch.run(symbols["msp_uart_serve"])
+        sketch.run(symbols["msp_lines_serve"])
     used = symbols["stack_top"] - lowest[0]
     assert 100 < used <= analysed.thread.size
 
@@ -63,7 +63,7 @@ def test_the_program_keeps_to_its_bound_when_started(
 def test_handlers_keep_to_their_bound_when_called(
     level: int, handler: str, analysed: StackUse, sketch: Any, symbols: dict[str, int]
 ) -> None:
-    sketch.run(symbols["msp_uart_serve"])
+    sketch.run(symbols["msp_lines_serve"])
     before = sketch.uc.reg_read(UC_ARM_REG_SP)
     with watched(sketch) as lowest:
         for _ in range(12):  # silence among the ticks, control steps among the samples

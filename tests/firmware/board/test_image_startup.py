@@ -89,7 +89,7 @@ def test_the_core_goes_to_216_mhz_from_the_internal_oscillator_when_the_crystal_
 
 
 def test_the_board_serves_without_a_gyro_when_nothing_answers(sketch: Any, symbols: dict[str, int]) -> None:
-    sketch.run(symbols["msp_uart_serve"])
+    sketch.run(symbols["msp_lines_serve"])
     assert sketch.sins == []
     assert sketch.field("EXTI_IMR", "IM3") == 0
     # Motors: PC6..PC9 on AF3, the timer's outputs on, all compare values 0, no frame.
@@ -156,7 +156,7 @@ def test_the_board_is_ready_within_a_second_when_switched_on(
             waits_ms.append(sketch.uc.reg_read(UC_ARM_REG_R0))
 
     sketch.on_code = on_code
-    sketch.run(symbols["msp_uart_serve"])
+    sketch.run(symbols["msp_lines_serve"])
     assert waits_ms == [100, 100, 100]
     assert executed > 10_000
     print(f"{executed:,} instructions beside {sum(waits_ms)} ms of waiting")

@@ -134,7 +134,7 @@ def test_requests_are_taken_while_the_last_reply_is_sent_when_they_came_in(
     host = Line(board, symbols["msp_rings"], DMA2_S5NDTR, MSP_RING_BYTES)
     host.send(b"$M<\x00\x01\x01")  # API_VERSION
     handlers = next(symbols[name] for name in symbols if name.split(".")[0] == "handlers")  # main's static
-    board.call_with(symbols["msp_uart_serve"], handlers)
+    board.call_with(symbols["msp_lines_serve"], handlers)
     length, place = board.peek(DMA2_S7NDTR), board.peek(DMA2_S7M0AR)
     assert place == symbols["msp_buffers"]
     assert board.peek(DMA2_S7CR) & 1
@@ -143,11 +143,11 @@ def test_requests_are_taken_while_the_last_reply_is_sent_when_they_came_in(
     board.uc.mem_write(place, b"?")
     for _ in range(2):
         host.send(b"$M<\x00\x01\x01")
-        board.call_with(symbols["msp_uart_serve"], handlers)
+        board.call_with(symbols["msp_lines_serve"], handlers)
     assert board.uc.mem_read(place, 1) == b"?"  # the reply on the wire is not overwritten
     assert board.peek(DMA2_S7M0AR) == place
     board.poke(DMA2_S7CR, board.peek(DMA2_S7CR) & ~1)
-    board.call_with(symbols["msp_uart_serve"], handlers)
+    board.call_with(symbols["msp_lines_serve"], handlers)
     assert board.peek(DMA2_S7M0AR) == place + MSP_SEND_BYTES
     assert bytes(board.uc.mem_read(place + MSP_SEND_BYTES, board.peek(DMA2_S7NDTR))) == 2 * reply
     assert board.sins == []
@@ -167,7 +167,7 @@ def test_a_lost_request_is_void_when_dma_has_gone_round_since_the_last_look(
         cleared.clear()
         board.poke(DMA2_HISR, flags)
         host.send(b"$M<\x00\x01\x01")
-        board.call_with(symbols["msp_uart_serve"], handlers)
+        board.call_with(symbols["msp_lines_serve"], handlers)
         assert (lost in board.seen) is told
         assert cleared[0] == flags  # taken, so that the next ones show
         answered = board.peek(DMA2_S7CR) & 1

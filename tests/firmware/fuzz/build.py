@@ -41,6 +41,8 @@ TARGETS = {
     "crsf": Target(("receiver.c",), "PROTOCOL=NF_RECEIVER_PROTOCOL_CRSF"),
     "msp": Target(("msp.c", "world.c")),
     "command_line": Target(("msp.c", "world.c")),
+    "usb_serial": Target(("usb.c",), "DISK=0"),
+    "usb_disk": Target(("usb.c",), "DISK=1"),
 }
 
 

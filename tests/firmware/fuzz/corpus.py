@@ -10,8 +10,16 @@ from pathlib import Path
 from tests.firmware.fuzz.command_line_seeds import command_line_seeds, words
 from tests.firmware.fuzz.msp_seeds import msp_seeds
 from tests.firmware.fuzz.receiver_seeds import crsf_seeds, sbus_seeds
+from tests.firmware.fuzz.usb_seeds import usb_disk_seeds, usb_serial_seeds
 
-SEEDS = {"sbus": sbus_seeds, "crsf": crsf_seeds, "msp": msp_seeds, "command_line": command_line_seeds}
+SEEDS = {
+    "sbus": sbus_seeds,
+    "crsf": crsf_seeds,
+    "msp": msp_seeds,
+    "command_line": command_line_seeds,
+    "usb_serial": usb_serial_seeds,
+    "usb_disk": usb_disk_seeds,
+}
 WORDS = {"command_line": words}  # of a target, that libFuzzer is told
 
 

@@ -19,8 +19,8 @@ GETS = {pair.request.message: pair.reply.message for pair in CONFIGURATIONS if p
 class App:
     """A peer that does as the app does."""
 
-    def __init__(self, program: Any) -> None:
-        self.client = Client(open_transport(f"tcp:127.0.0.1:{program.ports['msp']}"))
+    def __init__(self, port: str) -> None:
+        self.client = Client(open_transport(port))
 
     def ask(self, command: int, payload: bytes = b"") -> bytes:
         return self.client.request(Msp(command), payload, retries=0)
@@ -68,6 +68,6 @@ def stored(values: Mapping[str, float | str]) -> dict[str, float | str]:
 
 @contextmanager
 def connected(program: Any) -> Iterator[App]:
-    app = App(program)
+    app = App(f"tcp:127.0.0.1:{program.ports['msp']}")
     with app.client:
         yield app

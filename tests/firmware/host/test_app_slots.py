@@ -80,6 +80,7 @@ def test_ports_outputs_and_names_change_one_thing_when_saved(app: App) -> None:
     expected = app.settings()
     ports = layout_of(Msp.COMMON_SET_SERIAL_CONFIG, Direction.REQUEST)
     told = app.get(4105)
+    assert [(row["port"], row["functions"]) for row in told["ports"]] == [(0, 1), (1, 64), (2, 0), (20, 1)]
     app.ask(4106, layouts.encode(ports, told))
     assert app.settings() == expected
     told["ports"][2] |= {"functions": 1, "msp_baud": 6}
@@ -157,7 +158,11 @@ def test_msp_on_uart3_is_saved_when_the_app_tells_bauds_of_functions_that_no_lin
 def test_a_port_is_set_beside_those_that_are_refused(app: App) -> None:
     expected = app.settings()
     app.get(4105)
-    usb = (20, 1, 5, 0, 0, 5)
+    usb = (20, 1, 9, 4, 0, 5)  # at whatever rate
+    app.ask(4106, port_rows(usb))
+    for other in ((20, 0, 5, 4, 0, 5), (20, 1 << 7, 5, 4, 0, 5), (3, 1, 5, 4, 0, 5), (19, 1, 5, 4, 0, 5)):
+        assert app.refused(4106, port_rows(other)), other
+    assert app.settings() == expected
     assert app.refused(4106, port_rows(usb, (0, 1 | 1 << 1, 6, 4, 0, 5), UART2, (2, 1, 6, 4, 0, 5)))
     expected |= {"uart3_function": 1, "uart3_baud": 230400}
     assert app.settings() == expected

@@ -27,14 +27,14 @@ HANDSHAKE = {1: 3, 2: 4, 3: 13, 5: 34, 101: 25, 160: 12}
 CONNECTED = {36: 4, 32: 13, 80: 11, 70: 13, 79: 11, 110: 9, 130: 11, 116: 36, 150: 25}
 TABS: dict[str, dict[int, int | None]] = {
     "setup": {240: 4, 12300: 6, 42: 2, 126: 11, 90: 20, 108: 6},
-    "ports": {108: 6, 88: None, 4105: 28},
+    "ports": {108: 6, 88: None, 4105: 37},
     "configuration": {36: 4, 184: 9, 61: 4, 96: 5, 44: 39, 90: 20},
     "failsafe": {44: 39, 75: 8, 135: None, 77: 48, 36: 4, 119: 6, 105: 32, 50: 1, 34: 80},
     "pid tuning": {
         **{117: 25, 112: 15, 94: 61, 111: 24, 92: 49, 125: 5, 131: 10, 140: 53, 90: 20, 42: 2, 145: 3},
     },
     "receiver": {36: 4, 105: 32, 50: 1, 111: 24, 64: 8, 125: 5, 44: 39, 42: 2},
-    "modes": {105: 32, 101: 25, 34: 80, 238: 61, 119: 6, 50: 1, 4105: 28},
+    "modes": {105: 32, 101: 25, 34: 80, 238: 61, 119: 6, 50: 1, 4105: 37},
     "motors": {
         **{105: 32, 101: 25, 104: 16, 94: 61, 36: 4, 42: 2, 131: 10, 124: 6, 12289: 9},
         **{90: 20, 92: 49, 61: 4, 102: 18},
@@ -124,7 +124,7 @@ def test_tabs_show_the_settings_when_these_are_not_the_defaults(app: App) -> Non
     assert app.get(42) == {"mixer": 3, "reversed": 1}
     assert app.get(125)["roll_pitch"] == 4
     assert app.get(184)["off"] & (1 << 4) and not app.get(184)["off"] & (1 << 3)
-    assert [port["functions"] for port in app.get(4105)["ports"]] == [1, 64, 1]
+    assert [port["functions"] for port in app.get(4105)["ports"]] == [1, 64, 1, 1]
     assert [row["output"] for row in app.get(12289)["outputs"]][:2] == [1, 0]
     assert (app.get(38)["yaw"], app.get(126)["gyro_align"]) == (90, 3)
 

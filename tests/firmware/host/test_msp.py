@@ -1,4 +1,4 @@
-"""MSP over TCP at the host program: two peers at a time, and yamspy as an independent one."""
+"""MSP over TCP at the host program: three peers at a time, and yamspy as an independent one."""
 
 from __future__ import annotations
 
@@ -63,19 +63,19 @@ def test_each_of_two_peers_gets_its_own_answers_when_they_take_turns_byte_by_byt
             )
 
 
-def test_a_third_peer_is_turned_away_and_the_others_served_when_it_calls(start: Start) -> None:
+def test_a_fourth_peer_is_turned_away_and_the_others_served_when_it_calls(start: Start) -> None:
     p = start("--gyro-hz=1000")
-    with p.connect() as first, p.connect() as second, p.connect() as third:
-        for peer in (first, second):
+    with p.connect() as first, p.connect() as second, p.connect() as third, p.connect() as fourth:
+        for peer in (first, second, third):
             peer.sendall(API_REQUEST)
             assert peer.recv(100) == API_REPLY
-        assert third.recv(100) == b""
-        for peer in (first, second):
+        assert fourth.recv(100) == b""
+        for peer in (first, second, third):
             peer.sendall(API_REQUEST)
             assert peer.recv(100) == API_REPLY
         assert p.step() == (0, 0, 0, 0)
-    with p.connect() as fourth, p.connect() as fifth:
-        for peer in (fourth, fifth):
+    with p.connect() as fifth, p.connect() as sixth, p.connect() as seventh:
+        for peer in (fifth, sixth, seventh):
             peer.sendall(API_REQUEST)
             assert peer.recv(100) == API_REPLY
 

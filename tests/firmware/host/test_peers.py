@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 from cffi import FFI
 
+from neuroflight.toolchain import contract
+
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 MUCH = 16 << 20  # bytes: more than a connection holds
 TURNS_MAX = 100_000
@@ -119,14 +121,15 @@ def test_a_port_is_reset_when_its_peer_is_cut_off_while_words_wait_for_it(peers:
     assert peers.rests
 
 
-def test_a_third_caller_is_hung_up_and_no_port_reset_when_two_are_there(peers: Any) -> None:
-    first, second = peers.call(), peers.call()
-    peers.turn(), peers.turn()
-    with peers.call() as third:
+def test_a_fourth_caller_is_hung_up_and_no_port_reset_when_three_are_there(peers: Any) -> None:
+    callers = [peers.call() for _ in range(contract.MSP_PORT_COUNT)]
+    for _ in callers:
+        peers.turn()
+    with peers.call() as fourth:
         assert peers.turn() == []
-        assert third.recv(9) == b""
-    first.close()
-    second.close()
+        assert fourth.recv(9) == b""
+    for caller in callers:
+        caller.close()
 
 
 def test_a_peer_that_does_not_read_holds_up_nobody_and_loses_nothing_when_it_reads_at_last(

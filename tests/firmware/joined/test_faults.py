@@ -92,8 +92,12 @@ class Pilot:
         self.throttle = 1400
         assert min(min(row) for row in self.run(100)[20:]) > 0
 
+    def connect(self) -> Client:
+        """A program that stays."""
+        return Client(TcpTransport(TcpPort("127.0.0.1", self.program.ports["msp"])))
+
     def ask(self, command: Msp, payload: bytes = b"") -> bytes:
-        with Client(TcpTransport(TcpPort("127.0.0.1", self.program.ports["msp"]))) as client:
+        with self.connect() as client:
             return client.request(command, payload)
 
     @property
@@ -471,17 +475,30 @@ def test_motors_turn_on_request_and_nothing_arms_meanwhile_when_the_test_is_open
     values = struct.pack("<4H", 1000, 1080, 1000, 1000)
     with pytest.raises(LinkError):
         pilot.ask(Msp.SET_MOTOR, values)
-    pilot.ask(Msp.MOTOR_TEST, struct.pack("<I", MOTOR_TEST_MAGIC))
-    pilot.run(2)
-    pilot.ask(Msp.SET_MOTOR, values)
-    turning = pilot.run(5)[-1]
-    assert turning[1] == pytest.approx(0.08, abs=1e-3)
-    assert (turning[0], *turning[2:]) == (0.0, 0.0, 0.0)
-    pilot.arm = 2000
-    rows = pilot.run(60)
+    with pilot.connect() as bench:
+        bench.request(Msp.MOTOR_TEST, struct.pack("<I", MOTOR_TEST_MAGIC))
+        pilot.run(2)
+        bench.request(Msp.SET_MOTOR, values)
+        turning = pilot.run(5)[-1]
+        assert turning[1] == pytest.approx(0.08, abs=1e-3)
+        assert (turning[0], *turning[2:]) == (0.0, 0.0, 0.0)
+        pilot.arm = 2000
+        rows = pilot.run(60)
     assert stops_after(rows) <= FRAME_MS + 1, "a pilot who wants to arm ends it"
     assert pilot.state() == FlightState.DISARMED
     assert "MOTOR_TEST" in pilot.reasons
+
+
+def test_motors_stop_when_the_program_that_turns_them_hangs_up(pilot: Pilot) -> None:
+    pilot.boot()
+    with pilot.connect() as bench:
+        bench.request(Msp.MOTOR_TEST, struct.pack("<I", MOTOR_TEST_MAGIC))
+        pilot.run(2)
+        bench.request(Msp.SET_MOTOR, struct.pack("<4H", *[1080] * 4))
+        with pilot.connect() as other:
+            other.request(Msp.SAFETY)
+        assert min(pilot.run(5)[-1]) > 0, "another one that hangs up ends nothing"
+    assert max(pilot.run(100)[-1]) == 0, "long before its values are too old"
 
 
 def test_sticks_come_by_msp_when_that_is_the_receiver(make_pilot: MakePilot) -> None:

@@ -374,8 +374,9 @@ def test_nothing_happens_and_the_line_goes_on_when_a_frame_is_abandoned(
             for length in range(1, len(frame)):
                 ground.go_back(act.where)
                 before = ground.seen
-                if then == "leave":  # its lock goes with it
-                    before = replace(before, forbidden=before.forbidden & ~(1 << ArmingReason.MSP))
+                if then == "leave":  # its lock and its motor test go with it
+                    reasons, wish = before.forbidden & ~(1 << ArmingReason.MSP), before.wish + before.wish % 2
+                    before = replace(before, forbidden=reasons, wish=wish)
                 assert ground.send(frame[:length]) == b""
                 getattr(ground, then)()
                 assert ground.seen == before, (request, length)

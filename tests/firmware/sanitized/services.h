@@ -66,7 +66,7 @@ static void board_heard(void *context, const struct msp_peer *peer)
 {
 }
 
-static enum nf_refusal board_motor_test(void *context, uint32_t magic)
+static enum nf_refusal board_motor_test(void *context, struct msp_peer *peer, uint32_t magic)
 {
 	return magic ? NF_REFUSAL_NONE : NF_REFUSAL_ORDER;
 }

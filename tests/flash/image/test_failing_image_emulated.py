@@ -70,7 +70,7 @@ FAILING: dict[str, tuple[Callable[[Build], bytes], str]] = {
         "was started 2 time(s) and did not come up",
     ),
     "faults in its loop": (
-        lambda build: patched(build, B, "msp_uart_serve", UNDEFINED),
+        lambda build: patched(build, B, "msp_lines_serve", UNDEFINED),
         "was started 2 time(s) and did not come up",
     ),
     "its policy fails its self-test": (

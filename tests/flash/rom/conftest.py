@@ -14,6 +14,7 @@ from neuroflight.flash.rom.segments import Segment
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.serial.bridge import Bridge, End, LineTransport, UartLine
 from neuroflight.sim.board.serial.idle_board import STEP, IdleBoard
+from neuroflight.sim.board.usb.usbip import UsbIpServer
 from neuroflight.toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BYTES, FLASH_POLICY_SLOTS
 
 BAUD = 115_200
@@ -81,13 +82,20 @@ def rig() -> Iterator[Callable[..., Rig]]:
 
 
 class Served:
-    """A chip whose UART1 other programs reach at `end`; it runs as fast as it can, in a thread of its own."""
+    """A chip whose UART1 other programs reach at `end`, or its USB connector; it runs as fast as it can, in a
+    thread of its own."""
 
-    def __init__(self, end: End, flash: bytes = b"") -> None:
+    def __init__(self, end: End | None, flash: bytes = b"") -> None:
+        """end: None: its USB connector, by USB/IP on `usb_port`."""
         self.idle = IdleBoard(flash, boot_button=True, newly_installed=True)
         self.idle.boot()
-        self.end = end
-        self._bridge = Bridge(UartLine(self.idle.board, "USART1", Format(BAUD)), end)
+        self._bridge: Bridge | UsbIpServer
+        if end is None:
+            self._bridge = UsbIpServer([self.idle.board.hardware.usb_host], 0)
+            self.usb_port = self._bridge.port
+        else:
+            self.end = end
+            self._bridge = Bridge(UartLine(self.idle.board, "USART1", Format(BAUD)), end)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._live)
         self._thread.start()

@@ -8,7 +8,7 @@ from neuroflight.toolchain.image.elf import Section, memory_use, read_image
 from neuroflight.toolchain.image.fit import ALIGNMENT, POLICY_ITCM_BYTES, VENEER_BYTES, split
 
 KIB = 1024
-IMAGE_BYTES_MAX = 100 * KIB  # of the bank
+IMAGE_BYTES_MAX = 110 * KIB  # of the bank, which has 127.9; USB took 7
 ITCM_FREE_MIN = 3 * KIB // 2
 RAM_BYTES_MAX = 200 * KIB
 

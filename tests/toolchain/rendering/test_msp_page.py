@@ -17,7 +17,7 @@ from tests.reference import FOLDER
 PAGE = (FOLDER / "msp.md").read_text()
 TOLD = (  # in sentences by hand
     f"versions 1 and 2, API {contract.MSP_API_MAJOR}.{contract.MSP_API_MINOR},",
-    {2: "Two"}[contract.MSP_PORT_COUNT] + " peers are served at once",
+    {3: "Three"}[contract.MSP_PORT_COUNT] + " peers are served at once",
     f"no motor above {100 * contract.MOTOR_TEST_MAX:g} %, the sum of all not above "
     f"{100 * contract.MOTOR_TEST_SUM_MAX:g} %;",
     f"after {contract.MOTOR_TEST_TIMEOUT_MS} ms without one they stop",

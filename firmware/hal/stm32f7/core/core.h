@@ -4,7 +4,7 @@
 #include <stdint.h>
 
 /* The whole budget of interrupt priorities (4 bits, 0 is the most urgent). Nothing else interrupts:
- * both UARTs receive by circular DMA, motor frames and replies are sent by DMA and polled.
+ * UARTs receive by circular DMA, motor frames and replies are sent by DMA and polled; so is USB, without DMA.
  *
  *   priority             who                        how often      how long
  *   PRIORITY_FAULT       all faults, clock failure  never          to the reset, motors stopped

@@ -36,6 +36,7 @@ static struct note {
 static uint32_t reset_flags; /* RCC_CSR as it was */
 static uint32_t steps_before_reset;
 static bool armed_before_reset;
+static bool shows_card;
 
 /* Rotates before each word, so that exchanged or equal words change the sum. */
 static uint32_t fault_checksum(const struct note *n)
@@ -67,8 +68,17 @@ void fault_start(void)
 	RCC_CSR |= RCC_CSR_RMVF;
 	steps_before_reset = kept.steps;
 	armed_before_reset = kept_armed();
+	/* After a loss of power memory holds anything. */
+	shows_card = kept.card == KEPT_SHOW_CARD &&
+		     (reset_flags & (RCC_CSR_SFTRSTF | RCC_CSR_WDGRSTF | RCC_CSR_PORRSTF)) == RCC_CSR_SFTRSTF;
+	kept.card = 0;
 	if (!armed_before_reset)
 		fault_forget_flight();
+}
+
+bool fault_shows_card(void)
+{
+	return shows_card;
 }
 
 void fault_note_steps(uint32_t steps, bool armed)
@@ -125,11 +135,12 @@ static _Noreturn void fault_reset_chip(void)
 		;
 }
 
-_Noreturn void fault_reset(bool into_rom)
+_Noreturn void fault_reset(enum nf_reboot kind)
 {
 	interrupts_disable();
 	motor_pins_force_low();
-	kept.request = into_rom ? KEPT_ENTER_ROM : 0u;
+	kept.request = kind == NF_REBOOT_ROM ? KEPT_ENTER_ROM : 0u;
+	kept.card = kind == NF_REBOOT_CARD ? KEPT_SHOW_CARD : 0u;
 	fault_reset_chip();
 }
 

@@ -23,5 +23,8 @@ void fault_start(void);
 /* Control steps since boot, and whether the motors are armed, for the record. From the sample handler. */
 void fault_note_steps(uint32_t steps, bool armed);
 
-/* Motors low, then the chip starts anew: the image, or the boot loader in the ROM. */
-_Noreturn void fault_reset(bool into_rom);
+/* Was this start asked for to show the card, by fault_reset? After fault_start. */
+bool fault_shows_card(void);
+
+/* Motors low, then the chip starts anew: the image, as ever or to show its card, or the boot loader in the ROM. */
+_Noreturn void fault_reset(enum nf_reboot kind);

@@ -6,10 +6,11 @@
 #include <stdint.h>
 
 #define KEPT_ENTER_ROM 0x4D4F5221u /* "!ROM" */
+#define KEPT_SHOW_CARD 0x44524143u /* "CARD" */
 #define KEPT_ARMED 0x444D5241u     /* "ARMD" */
 
 struct kept {
-	uint32_t reserved;
+	uint32_t card; /* KEPT_SHOW_CARD: the image is to show its card as a disk; it takes and clears it */
 	uint32_t request; /* KEPT_ENTER_ROM: the boot part is to enter the chip's boot loader; it takes and clears it */
 	uint32_t steps; /* control steps of this boot, the last's until the image starts */
 	uint32_t armed; /* KEPT_ARMED plus `steps`: the motors were armed in that step */

@@ -67,7 +67,7 @@ static const struct sd_bus bus = {
 	.milliseconds = card_milliseconds,
 };
 
-const struct log_device *card_spi_start(void)
+const struct sd_bus *card_spi_open(void)
 {
 	gpio_output(BOARD_CARD_CS, true);
 	/* The pull-up makes an empty slot say nothing but ones. */
@@ -78,6 +78,11 @@ const struct log_device *card_spi_start(void)
 	SPI_CR2(BOARD_CARD_SPI) = FIELD(SPI_CR2_DS, BITS_8) | SPI_CR2_FRXTH;
 	dma_setup(BOARD_CARD_DMA_RX, &SPI_DR(BOARD_CARD_SPI), DMA_FROM_PERIPHERAL, DMA_BYTE, DMA_MEDIUM, 0);
 	dma_setup(BOARD_CARD_DMA_TX, &SPI_DR(BOARD_CARD_SPI), DMA_TO_PERIPHERAL, DMA_BYTE, DMA_LOW, 0);
-	card_log_init(&card_log, &bus, &device);
+	return &bus;
+}
+
+const struct log_device *card_spi_start(void)
+{
+	card_log_init(&card_log, card_spi_open(), &device);
 	return &device;
 }

@@ -1,8 +1,10 @@
 /* The devices on the board's lines, each for hal.c: set up once, then at work for struct hal or the handlers. */
 #pragma once
 
-#include "hal/stm32f7/peripherals/uart_line.h"
 #include "port/hal.h"
+#include "port/serial_line.h"
+#include "storage/card/sd_card.h"
+#include "usb/usb_device.h"
 
 /* --- Motors 1..6 by DShot: DMA writes a bit's pulse widths to the timers at each bit's begin. --- */
 /* Timers running, no frame yet. `protocol`: NF_MOTOR_PROTOCOL_...; `count`: motors in use, at most
@@ -13,6 +15,9 @@ void motors_run(uint32_t protocol, size_t count);
  * values send a stop. Dropped while the last frame is still on the wire, and before motors_run; at the fourth write
  * in a row that it would be, the output has stuck and is set up anew. From the sample handler or the tick only. */
 void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry);
+
+/* Waits for the end of the frame that is on the wire, 60 us at most; with interrupts off no other one follows. */
+void motors_finish(void);
 
 /* As motor_restarts of struct hal: how often outputs that had stuck were set up anew since boot. */
 uint32_t motors_restarts(void *context);
@@ -53,19 +58,40 @@ void power_start(void);
  * last call. */
 void power_read(void *context, struct power_sample *power);
 
-/* --- MSP's ports on UARTs, 8N1. Background only. --- */
-/* Port 0..NF_MSP_PORT_COUNT - 1 begins. baud: one of NF_MSP_BAUDS. Bytes that came before are lost. */
-void msp_uart_start(unsigned port, uint32_t baud);
-
-/* The line of a port that does not begin, for something else; it is started at `baud`. */
-struct uart_line *msp_uart_lend(unsigned port, uint32_t baud);
+/* --- MSP's ports, whatever line each has. Background only. --- */
+/* Port 0..NF_MSP_PORT_COUNT - 1 begins, on that line. */
+void msp_lines_start(unsigned port, struct serial_line line);
 
 /* Serves what has come by the ports that have begun since the last call, and sends what is said unasked; waits for
  * nothing. */
-void msp_uart_serve(const struct hal_handlers *handlers);
+void msp_lines_serve(const struct hal_handlers *handlers);
 
-/* Sends what is left to be sent, and takes no more requests. Returns whether a bit of it is not yet on the line. */
-bool msp_uart_finish(void);
+/* Sends what is left to be sent, and takes no more requests. Returns whether a bit of it is not yet on a line. */
+bool msp_lines_finish(void);
+
+/* --- The UARTs of MSP's ports 0 and 1, 8N1. Background only. --- */
+/* Sets it up at `baud`, one of NF_MSP_BAUDS or NF_LOG_BAUDS: for MSP, or for something else. What came before is lost. */
+struct serial_line msp_uart_open(unsigned number, uint32_t baud);
+
+/* --- The USB connector, polled. Background only. --- */
+/* Clocks, pins and controller; nothing is shown to a host yet. NULL: the controller does not answer. Then usb_bus_serve
+ * says what the host finds: a device for `function`, whose name is `product`; both outlive the program. */
+const struct usb_controller *usb_bus_start(void);
+struct usb_device *usb_bus_device(void);
+void usb_bus_serve(const struct usb_function *function, const char *product);
+
+/* Does the cable bring its supply? After clock_peripherals. */
+bool usb_bus_powered(void);
+
+/* Passes on what has happened on the bus. Returns whether more may come within the millisecond: do not sleep. */
+bool usb_bus_step(void);
+
+/* MSP's line by USB: *line. False: there is none. */
+bool usb_line_open(const char *product, struct serial_line *line);
+
+/* The SD card as a disk that can only be read, until the cable is out or the host ejects it: nothing else runs but the tick,
+ * which sends stop frames to the motors. */
+void usb_card_run(void);
 
 /* --- A log on the UART of MSP's second port, where the pilot has set it so: what it is written to is somebody
  * else's matter. Background only. --- */
@@ -75,3 +101,6 @@ const struct log_device *log_uart_start(uint32_t baud);
 /* --- Logs on the SD card of SPI3, by DMA and without an interrupt. Background only. --- */
 /* Pins and SPI are set up; looking for a card is left to the device's step. */
 const struct log_device *card_spi_start(void);
+
+/* Its bus alone, for something else that uses the card. */
+const struct sd_bus *card_spi_open(void);

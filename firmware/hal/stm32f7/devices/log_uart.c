@@ -2,16 +2,16 @@
 
 #include <string.h>
 
-#include "hal/stm32f7/peripherals/uart_line.h"
+#include "port/serial_line.h"
 
 #define PORT 1u
 
-static struct uart_line *line;
+static struct serial_line line;
 static uint8_t state; /* enum nf_log_state */
 
 static void log_uart_step(void *context)
 {
-	uart_line_send(line);
+	line.send(line.context);
 }
 
 static void log_uart_status(void *context, struct log_device_status *status)
@@ -31,21 +31,21 @@ static size_t log_uart_write(void *context, const uint8_t *bytes, size_t count)
 	size_t room, taken = 0;
 
 	for (int buffer = 0; buffer < 2; ++buffer) {
-		uint8_t *const there = uart_line_room(line, &room);
+		uint8_t *const there = line.room(line.context, &room);
 		const size_t part = count - taken < room ? count - taken : room;
 
 		memcpy(there, bytes + taken, part);
-		uart_line_fill(line, part);
+		line.fill(line.context, part);
 		taken += part;
-		uart_line_send(line);
+		line.send(line.context);
 	}
 	return taken;
 }
 
 static enum log_answer log_uart_end(void *context)
 {
-	uart_line_send(line);
-	state = uart_line_sending(line) ? NF_LOG_STATE_ENDING : NF_LOG_STATE_READY;
+	line.send(line.context);
+	state = line.sending(line.context) ? NF_LOG_STATE_ENDING : NF_LOG_STATE_READY;
 	return state == NF_LOG_STATE_READY ? LOG_DONE : LOG_LATER;
 }
 
@@ -59,7 +59,7 @@ static const struct log_device device = {
 
 const struct log_device *log_uart_start(uint32_t baud)
 {
-	line = msp_uart_lend(PORT, baud);
+	line = msp_uart_open(PORT, baud);
 	state = NF_LOG_STATE_READY;
 	return &device;
 }

@@ -134,6 +134,16 @@ static bool motors_busy(void)
 	return false;
 }
 
+#define FRAME_CYCLES (CLOCK_CORE_HZ / 10000u) /* 100 us; the longest, DShot300, takes 54 */
+
+__attribute__((cold)) void motors_finish(void)
+{
+	const uint32_t start = time_cycles();
+
+	while (motors_busy() && time_cycles() - start < FRAME_CYCLES)
+		;
+}
+
 /* Ends each stream that is stuck and sets its timer up anew, as at the start: the lines are low from here on. No frame is
  * sent yet. What an ESC has of the one that broke off has no 16 bits; it forgets them in the rest before the next write. A
  * stream that cannot be ended is tried again later. */

@@ -173,7 +173,7 @@ static void log_step(void *context)
 		log_erase_on(log);
 	} else if (card->held != log->wanted) {
 		log->owner = OWNER_READER;
-		sd_card_read(card, log->wanted);
+		sd_card_read_on(card, log->wanted);
 	}
 }
 

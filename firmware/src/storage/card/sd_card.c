@@ -48,13 +48,16 @@ enum sd_phase {
 	SD_ERASE_FIRST,
 	SD_ERASE_LAST,
 	SD_ERASE,
+	SD_READ_ON,
+	SD_STOP,
 	SD_COMMANDS,
 
 	SD_ABSENT = SD_COMMANDS, /* until the next search */
 	SD_WAKE,
 	SD_FLUSH, /* out of a block that was being written before a reset of the processor */
 	SD_REST,
-	SD_DATA,  /* of SD_CAPACITY or SD_READ, by `wanted` */
+	SD_STOP_BUSY,
+	SD_DATA,  /* of SD_CAPACITY, SD_READ or SD_READ_ON, by `wanted` */
 	SD_BLOCK,
 	SD_BLOCK_BUSY,
 	SD_STUMBLED, /* a card may be busy with a block that it refused */
@@ -63,7 +66,7 @@ enum sd_phase {
 	SD_ERASE_BUSY,
 };
 
-enum sd_job { JOB_NONE, JOB_READ, JOB_WRITE, JOB_ERASE, JOB_FINISH };
+enum sd_job { JOB_NONE, JOB_READ, JOB_READ_ON, JOB_WRITE, JOB_ERASE, JOB_FINISH };
 
 static const struct {
 	uint8_t index, more; /* more: bytes behind R1 */
@@ -82,6 +85,8 @@ static const struct {
 	[SD_ERASE_FIRST] = { 32, 0, 0 },
 	[SD_ERASE_LAST] = { 33, 0, 0 },
 	[SD_ERASE] = { 38, 0, 0 },
+	[SD_READ_ON] = { 18, 0, 0 },
+	[SD_STOP] = { 12, 0, 0 },
 };
 
 static uint32_t sd_passed(const struct sd_card *card)
@@ -120,7 +125,7 @@ static void sd_send(struct sd_card *card)
 	const enum sd_phase phase = card->phase;
 	uint32_t argument = commands[phase].argument;
 
-	if (phase == SD_READ || phase == SD_OPEN || phase == SD_ERASE_FIRST)
+	if (phase == SD_READ || phase == SD_READ_ON || phase == SD_OPEN || phase == SD_ERASE_FIRST)
 		argument = card->first;
 	else if (phase == SD_ERASE_LAST)
 		argument = card->last;
@@ -158,6 +163,7 @@ static void sd_lose(struct sd_card *card, enum nf_log_error error)
 	card->blocks = 0;
 	card->held = SD_NO_BLOCK;
 	card->writing = false;
+	card->reading = false;
 	sd_enter(card, SD_ABSENT);
 }
 
@@ -193,10 +199,31 @@ static void sd_send_block(struct sd_card *card)
 	sd_transfer(card, SD_TRANSFER_BYTES);
 }
 
+/* Is the job to read a block that a sequence may hold? The card's last one is not: behind it a card has no other one to
+ * prepare. */
+static bool sd_reads_on(const struct sd_card *card)
+{
+	return card->job == JOB_READ_ON && card->first + 1u < card->blocks;
+}
+
+/* Data of so many bytes are to come, behind a token. */
+static void sd_await(struct sd_card *card, uint16_t wanted)
+{
+	card->held = SD_NO_BLOCK;
+	card->wanted = wanted;
+	card->taken = NO_TOKEN;
+	sd_enter(card, SD_DATA);
+}
+
 /* Begins or continues the job. */
 static void sd_go_on(struct sd_card *card)
 {
-	if (card->writing && card->trouble) {
+	if (card->reading && sd_reads_on(card) && card->next == card->first && !card->trouble) {
+		sd_await(card, DATA_BYTES);
+		sd_listen(card, TOKEN_BYTES);
+	} else if (card->reading)
+		sd_command(card, SD_STOP);
+	else if (card->writing && card->trouble) {
 		sd_enter(card, SD_STUMBLED);
 		sd_select(card, true);
 		sd_listen(card, POLL_BYTES);
@@ -204,8 +231,8 @@ static void sd_go_on(struct sd_card *card)
 		sd_close(card);
 	else if (card->trouble || card->job == JOB_FINISH)
 		sd_command(card, SD_LOOK);
-	else if (card->job == JOB_READ)
-		sd_command(card, SD_READ);
+	else if (card->job == JOB_READ || card->job == JOB_READ_ON)
+		sd_command(card, sd_reads_on(card) ? SD_READ_ON : SD_READ);
 	else if (card->job == JOB_ERASE)
 		sd_command(card, SD_ERASE_FIRST);
 	else if (card->writing)
@@ -274,7 +301,10 @@ static void sd_data_whole(struct sd_card *card)
 	} else if (card->wanted == CSD_BYTES) {
 		sd_measure(card);
 	} else {
-		sd_select(card, false);
+		if (card->reading)
+			++card->next; /* it stays selected */
+		else
+			sd_select(card, false);
 		card->held = card->first;
 		sd_end(card, SD_DONE);
 	}
@@ -310,10 +340,7 @@ static void sd_collect(struct sd_card *card, const uint8_t *bytes, size_t count)
 
 static void sd_expect(struct sd_card *card, uint16_t wanted, const uint8_t *bytes, size_t count)
 {
-	card->held = SD_NO_BLOCK;
-	card->wanted = wanted;
-	card->taken = NO_TOKEN;
-	sd_enter(card, SD_DATA);
+	sd_await(card, wanted);
 	sd_collect(card, bytes, count);
 }
 
@@ -354,6 +381,9 @@ static void sd_answered(struct sd_card *card, uint8_t r1, const uint8_t *more, s
 		sd_looked(card, r1, more[0]);
 	} else if (phase == SD_INITIALISE) {
 		sd_initialising(card, r1);
+	} else if (phase == SD_STOP) { /* also a card that had nothing to stop is at rest then */
+		sd_enter(card, SD_STOP_BUSY);
+		sd_listen(card, POLL_BYTES);
 	} else if (!sd_is_right(phase, r1, more)) {
 		if (phase < SD_LOOK)
 			sd_lose(card, phase == SD_RESET && r1 == RELEASED ? NF_LOG_ERROR_NO_CARD : NF_LOG_ERROR_CARD);
@@ -362,6 +392,10 @@ static void sd_answered(struct sd_card *card, uint8_t r1, const uint8_t *more, s
 	} else if (phase == SD_CAPACITY) {
 		sd_expect(card, CSD_BYTES, more, count);
 	} else if (phase == SD_READ) {
+		sd_expect(card, DATA_BYTES, more, count);
+	} else if (phase == SD_READ_ON) {
+		card->reading = true;
+		card->next = card->first;
 		sd_expect(card, DATA_BYTES, more, count);
 	} else if (phase == SD_OPEN) {
 		card->writing = true;
@@ -383,6 +417,8 @@ static void sd_commanded(struct sd_card *card)
 	const uint8_t *answer = card->bus->bytes + 1u + COMMAND_BYTES;
 	const uint8_t *const last = answer + RESPONSE_BYTES - 1u, *const end = last + 1u + commands[card->phase].more;
 
+	if (card->phase == SD_STOP)
+		++answer; /* a byte of the block that was under way (7.3.1.3) */
 	while (answer != last && (*answer & R1_NONE) != 0u)
 		++answer;
 	const bool garbled = (*answer & (R1_NONE | R1_CRC)) != 0u;
@@ -431,6 +467,7 @@ static void sd_rested(struct sd_card *card)
 	}
 	sd_select(card, false);
 	card->writing = false;
+	card->reading = false;
 	if (card->phase == SD_ERASE_BUSY)
 		card->job = JOB_FINISH; /* it has been done; was it done well? */
 	if (card->job == JOB_NONE)
@@ -463,10 +500,11 @@ static void sd_transferred(struct sd_card *card)
 	case SD_STUMBLED:
 	case SD_CLOSE_BUSY:
 	case SD_ERASE_BUSY:
+	case SD_STOP_BUSY:
 		if (card->bus->bytes[POLL_BYTES - 1u] == RELEASED)
 			sd_rested(card);
 		else if (sd_passed(card) > (card->phase == SD_ERASE_BUSY ? ERASE_MS : BUSY_MS))
-			sd_lose(card, NF_LOG_ERROR_WRITE);
+			sd_lose(card, card->reading ? NF_LOG_ERROR_READ : NF_LOG_ERROR_WRITE);
 		else
 			sd_listen(card, POLL_BYTES);
 		break;
@@ -493,7 +531,7 @@ void sd_card_step(struct sd_card *card)
 	} else if (card->phase == SD_ABSENT && sd_passed(card) >= SEARCH_MS) {
 		sd_wake(card);
 	} else if (card->phase == SD_REST && !card->writing && sd_passed(card) >= PRESENCE_MS) {
-		sd_command(card, SD_LOOK);
+		sd_command(card, card->reading ? SD_STOP : SD_LOOK);
 	}
 }
 
@@ -515,6 +553,11 @@ static void sd_begin(struct sd_card *card, enum sd_job job, uint32_t first, uint
 void sd_card_read(struct sd_card *card, uint32_t block)
 {
 	sd_begin(card, JOB_READ, block, block);
+}
+
+void sd_card_read_on(struct sd_card *card, uint32_t block)
+{
+	sd_begin(card, JOB_READ_ON, block, block);
 }
 
 void sd_card_write(struct sd_card *card, uint32_t block, const uint8_t *bytes)

@@ -35,6 +35,7 @@ struct sd_card {
 	uint8_t outcome; /* read: of the last job */
 	uint32_t held; /* read: the block that `data` holds, SD_NO_BLOCK: none */
 	bool writing; /* read: a sequence of writes is open */
+	bool reading; /* likewise of reads */
 
 	uint8_t phase, job;
 	uint8_t tries; /* of the command */
@@ -58,6 +59,8 @@ void sd_card_step(struct sd_card *card);
  * tried thrice. SD_FAILED without a card behind it: it is gone. */
 bool sd_card_free(const struct sd_card *card);
 void sd_card_read(struct sd_card *card, uint32_t block);
+/* The same where the next block is likely to be read then: a sequence of reads stays open, which makes that quick. */
+void sd_card_read_on(struct sd_card *card, uint32_t block);
 /* `bytes` must stay until the outcome. SD_DONE: the card has the block and may be asked for the next one. A sequence of
  * writes stays open, which makes the next block quick. */
 void sd_card_write(struct sd_card *card, uint32_t block, const uint8_t *bytes);

@@ -35,10 +35,31 @@ def test_table_has_the_manuals_addresses_when_loaded() -> None:
         ("USART2", "RDR", 0x40004424),
         ("ADC_Common", "CCR", 0x40012304),
         ("IWDG", "RLR", 0x40003008),
+        ("OTG_FS_GLOBAL", "DIEPTXF5", 0x50000114),
+        ("OTG_FS_DEVICE", "DOEPTSIZ5", 0x50000BB0),
+        ("OTG_FS_PWRCLK", "PCGCCTL", 0x50000E00),
+        ("OTG_FS_FIFO5", "DFIFO", 0x50006000),
     ):
         assert blocks[name].base + blocks[name].registers[register].offset == address
     assert load_table().interrupt("EXTI3") == 9
     assert load_table().interrupt("DMA2_STREAM2") == 58
+    assert load_table().interrupt("OTG_FS") == 67
+
+
+def test_usb_registers_are_the_manuals_when_the_description_is_another_cores() -> None:
+    blocks = load_table().blocks
+    # RM0431, OTG_FS: after reset the core is off the bus, idle, and its one transceiver is chosen.
+    assert blocks["OTG_FS_DEVICE"].registers["DCTL"].reset == 0x2
+    assert blocks["OTG_FS_GLOBAL"].registers["GRSTCTL"].reset == 0x80000000
+    assert blocks["OTG_FS_GLOBAL"].registers["GUSBCFG"].fields["PHYSEL"].access == "r"
+    # The program enables and disables endpoint 0 as it does the others.
+    for name in ("DIEPCTL0", "DOEPCTL0", "DIEPCTL3", "DOEPCTL3"):
+        assert blocks["OTG_FS_DEVICE"].registers[name].fields["EPENA"].access == "rw"
+        assert "STALL" in blocks["OTG_FS_DEVICE"].registers[name].fields
+    found = load_table().find(0x50000FFC)
+    assert found is not None and found[0].name == "OTG_FS_PWRCLK"
+    found = load_table().find(0x50001400)
+    assert found is not None and found[0].name == "OTG_FS_FIFO0"
 
 
 def test_the_committed_table_is_the_scripts_when_the_description_is_at_hand() -> None:

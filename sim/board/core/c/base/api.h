@@ -88,6 +88,13 @@ void engine_callbacks(struct engine *e, const struct callbacks *callbacks);
 void engine_reset(struct engine *e, uint32_t vectors);
 /* The number of a new window; -1: taken, not aligned or no place of peripherals. */
 int engine_attach(struct engine *e, uint32_t base, uint32_t size);
+/* The number of an answer for the register at `address` of AHB2, not yet known; -1: there are too many. */
+int engine_new_answer(struct engine *e, uint32_t address);
+/* What that register's word reads as, without a callback, until a store to AHB2 or `engine_forget_answers`. */
+void engine_answer(struct engine *e, uint32_t answer, uint32_t value);
+void engine_forget_answers(struct engine *e);
+/* Reads that were answered so since the last call. */
+uint64_t engine_answered(struct engine *e, uint32_t answer);
 /* Its number; -1: there are too many. */
 int engine_new_alarm(struct engine *e);
 void engine_set_alarm(struct engine *e, uint32_t alarm, uint64_t cycle);

@@ -19,7 +19,8 @@ enum {
 	IRQ_COUNT = 104,
 	EXCEPTION_COUNT = 16 + IRQ_COUNT,
 	ALARM_MAX = 128,
-	WINDOW_MAX = 128,
+	WINDOW_MAX = 160,
+	ANSWER_MAX = 16,
 	BREAKPOINT_MAX = 64,
 	WATCHPOINT_MAX = 32,
 	DEPTH_MAX = EXCEPTION_COUNT,
@@ -195,6 +196,13 @@ struct window {
 	uint64_t reads, writes;
 };
 
+/* What a register of AHB2 reads as until something happens there: a program that polls asks its peripheral once. */
+struct answer {
+	uint32_t address, value;
+	uint64_t generation; /* it holds while `answers_generation` is one less */
+	uint64_t reads;      /* answered by it */
+};
+
 /* Where unicorn hands accesses on: what it says of an address counts from `base`. */
 struct region {
 	struct engine *engine;
@@ -263,6 +271,9 @@ struct engine {
 	struct region regions[3];    /* of peripherals: APB and AHB1, AHB2, the core's own */
 	struct window windows[WINDOW_MAX];
 	uint32_t window_count, alarm_count;
+	struct answer answers[ANSWER_MAX];
+	uint32_t answer_count;
+	uint64_t answers_generation;
 	int16_t apb[APB_BYTES >> 10], ahb2[AHB2_BYTES >> 10], ppb[PPB_BYTES >> 10];
 	struct callbacks callbacks;
 

@@ -133,6 +133,33 @@ int engine_attach(struct engine *e, uint32_t base, uint32_t size)
 	return (int)e->window_count++;
 }
 
+int engine_new_answer(struct engine *e, uint32_t address)
+{
+	if (e->answer_count == ANSWER_MAX || !inside(address, 4, AHB2_BASE, AHB2_BYTES))
+		return -1;
+	e->answers[e->answer_count] = (struct answer){.address = address};
+	return (int)e->answer_count++;
+}
+
+void engine_answer(struct engine *e, uint32_t answer, uint32_t value)
+{
+	e->answers[answer].value = value;
+	e->answers[answer].generation = e->answers_generation + 1u;
+}
+
+void engine_forget_answers(struct engine *e)
+{
+	++e->answers_generation;
+}
+
+uint64_t engine_answered(struct engine *e, uint32_t answer)
+{
+	const uint64_t reads = e->answers[answer].reads;
+
+	e->answers[answer].reads = 0;
+	return reads;
+}
+
 int engine_new_alarm(struct engine *e)
 {
 	return e->alarm_count < ALARM_MAX ? (int)e->alarm_count++ : -1;

@@ -1,0 +1,87 @@
+#include "hal/stm32f7/devices/devices.h"
+
+#include <string.h>
+
+#include "board.h"
+#include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/core/gpio.h"
+#include "hal/stm32f7/core/time.h"
+#include "hal/stm32f7/core/watchdog.h"
+#include "storage/card/sd_card.h"
+#include "usb/usb_disk.h"
+
+#define UNPLUGGED_MS 20u /* without supply: the cable is out */
+#define EJECTED_MS 1000u /* the host takes its leave */
+#define BLINK_MS 512u
+
+_Static_assert(SD_BLOCK_BYTES == USB_DISK_BLOCK_BYTES, "a block is one");
+
+/* This mode's alone. */
+static struct sd_card usb_card;
+static struct usb_disk usb_disk;
+static struct usb_function usb_disk_function;
+static uint32_t usb_card_asked = SD_NO_BLOCK; /* block that is being read for the host */
+
+static uint32_t usb_card_blocks(void *context)
+{
+	return usb_card.blocks;
+}
+
+/* While a block is on its way to the host the card reads the next one, which it most likely wants. */
+static enum usb_medium_answer usb_card_read(void *context, uint32_t block, uint8_t bytes[USB_DISK_BLOCK_BYTES])
+{
+	if (usb_card.blocks == 0u)
+		return USB_MEDIUM_FAILED;
+	if (!sd_card_free(&usb_card))
+		return USB_MEDIUM_LATER;
+	if (usb_card.held == block) {
+		usb_card_asked = SD_NO_BLOCK;
+		memcpy(bytes, usb_card.data, USB_DISK_BLOCK_BYTES);
+		if (block + 1u < usb_card.blocks)
+			sd_card_read_on(&usb_card, block + 1u);
+		return USB_MEDIUM_DONE;
+	}
+	const bool failed = usb_card_asked == block; /* told once; the host may try again */
+
+	usb_card_asked = failed ? SD_NO_BLOCK : block;
+	if (failed)
+		return USB_MEDIUM_FAILED;
+	sd_card_read_on(&usb_card, block);
+	return USB_MEDIUM_LATER;
+}
+
+static const struct usb_medium medium = { .blocks = usb_card_blocks, .read = usb_card_read };
+
+/* Does the host, or the pilot, want it no more? */
+static bool usb_card_over(uint32_t *plugged_ms, uint32_t *wanted_ms)
+{
+	const uint32_t now = time_ms();
+
+	if (usb_bus_powered())
+		*plugged_ms = now;
+	if (!usb_disk.ejected)
+		*wanted_ms = now;
+	return now - *plugged_ms > UNPLUGGED_MS || now - *wanted_ms > EJECTED_MS;
+}
+
+void usb_card_run(void)
+{
+	const struct usb_controller *const controller = usb_bus_start();
+	uint32_t plugged_ms = time_ms(), wanted_ms = plugged_ms;
+
+	if (controller == NULL)
+		return;
+	sd_card_init(&usb_card, card_spi_open());
+	usb_disk_init(&usb_disk, usb_bus_device(), controller, &medium, &usb_disk_function);
+	usb_bus_serve(&usb_disk_function, BOARD_TARGET " SD card");
+	while (!usb_card_over(&plugged_ms, &wanted_ms)) {
+		const bool busy = usb_bus_step();
+
+		sd_card_step(&usb_card);
+		usb_disk_step(&usb_disk);
+		watchdog_feed();
+		gpio_write(BOARD_LED0, (time_ms() & BLINK_MS) != 0u);
+		if (!busy && usb_disk.stage == USB_DISK_COMMAND)
+			wait_for_interrupt();
+	}
+}
