@@ -22,7 +22,10 @@ def find_rescue_port() -> str:
         if places:
             names = ", ".join(f"{PORT}:{place}" for place in places)
             raise LinkError(f"--port is missing, and got several: {names}; name one with --port")
-    return find_port()
+    try:
+        return find_port()
+    except LinkError as error:
+        raise LinkError(f"{error}; a board without a firmware: hold BOOT while you plug it in") from None
 
 
 def find_flash_port() -> str:

@@ -13,9 +13,11 @@ import pytest
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
+from neuroflight.cli.board.dfu import find_rescue_port
 from neuroflight.cli.main import main
 from neuroflight.cli.options import PORT_VARIABLE, find_port
 from neuroflight.flash.link.transport import line_baud
+from neuroflight.flash.rom import dfu_board
 from neuroflight.flash.usb import devices
 from neuroflight.toolchain.errors import LinkError
 
@@ -99,6 +101,12 @@ def test_betaflight_and_an_adapter_are_several(plug: Plug) -> None:
     plug("ttyACM0", (0x0483, 0x5740), "Betaflight", "Betaflight STM32F7x2")
     with pytest.raises(LinkError, match=r"got several: .*ttyACM0, .*ttyUSB0;"):
         find_port()
+
+
+def test_a_rescue_without_a_board_tells_of_the_button(plug: Plug, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dfu_board, "dfu_places", tuple)
+    with pytest.raises(LinkError, match=r"no USB serial device is there; .*hold BOOT while you plug it in"):
+        find_rescue_port()
 
 
 @pytest.mark.parametrize(
