@@ -238,12 +238,14 @@ def _of_budget(text: str, index: int) -> str:
 
 
 def _policies(step: str, text: str) -> str:
-    """Return the policies that the training `text` of a step leaves, one for each seed."""
+    """Return the policies that the training `text` of a step leaves, one for each seed; a single one lies in
+    the step's own folder."""
     first, count = (
         int(found[1]) if (found := re.search(rf"--{option} (\d+)", text)) else 1
         for option in ("seed", "seeds")
     )
-    return " ".join(f"{{{step}}}/seed-{seed}/policy.onnx" for seed in range(first, first + count))
+    places = [""] if count == 1 else [f"seed-{seed}/" for seed in range(first, first + count)]
+    return " ".join(f"{{{step}}}/{place}policy.onnx" for place in places)
 
 
 def _check_order(steps: Mapping[str, Step], where: str) -> None:

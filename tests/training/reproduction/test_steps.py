@@ -275,6 +275,11 @@ def test_a_pattern_stands_for_each_of_its_values() -> None:
     assert figures == [("m = 1", "down-1-flown"), ("m = 2", "down-2-flown"), ("once", "down-1-flown")]
 
 
+def test_a_training_of_one_seed_leaves_its_policy_in_its_own_folder() -> None:
+    known = parse(PATTERNS.replace("--seed 4 --seeds 3", "--seeds 1"), "test")
+    assert known.steps["up-2-flown"].full == "compare pid {up-2}/policy.onnx --episodes 30"
+
+
 @pytest.mark.parametrize(
     ("before", "after", "named"),
     [
