@@ -53,6 +53,7 @@ ROOMS = (
     "flash/card",
     "sim/arrays.py",
     "sim/strict_toml.py",
+    "sim/loopback.py",
     "sim/plotting.py",
     "sim/compiled.py",
     "sim/structs.py",

@@ -25,6 +25,7 @@ from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.rom.boot_loader import UART as ROM_UART
+from neuroflight.sim.loopback import listen
 from neuroflight.toolchain.contract import MSP_BAUD_DEFAULT
 from neuroflight.toolchain.errors import LinkError
 
@@ -211,19 +212,9 @@ class TcpEnd:
 
     def __init__(self, port: int = 0) -> None:
         """port: 0 for any free one. Raises LinkError if it is taken."""
-        self._listener = socket.socket()
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._listener = listen("TCP", port)
         self._client: socket.socket | None = None
         self._ahead = bytearray()  # read and not taken yet
-        try:
-            self._listener.bind(("127.0.0.1", port))
-            self._listener.listen()
-        except OSError as error:
-            self._listener.close()
-            raise LinkError(
-                f"TCP port {port}: {error.strerror}, expected a free port; name another one, or 0 for any"
-            ) from None
-        self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
 
     @property

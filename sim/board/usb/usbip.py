@@ -19,6 +19,7 @@ from functools import partial
 
 from neuroflight.sim.board.usb.enumeration import Description, Steps, enumerate_device
 from neuroflight.sim.board.usb.host import IN, Host, Kind, Status, Transfer
+from neuroflight.sim.loopback import listen
 from neuroflight.toolchain.errors import LinkError
 
 VERSION = 0x0111
@@ -134,17 +135,7 @@ class UsbIpServer:
 
         Raises LinkError if the port is taken.
         """
-        self._listener = socket.socket()
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._listener.bind(("127.0.0.1", port))
-            self._listener.listen()
-        except OSError as error:
-            self._listener.close()
-            raise LinkError(
-                f"USB/IP port {port}: {error.strerror}, expected a free port; name another one, or 0 for any"
-            ) from None
-        self._listener.setblocking(False)
+        self._listener = listen("USB/IP", port)
         self.port: int = self._listener.getsockname()[1]
         self._clients: list[_Client] = []
         self.refusal = ""  # why the last connection was ended, if it was
