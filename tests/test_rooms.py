@@ -35,6 +35,7 @@ ROOMS = (
     "toolchain/codegen",
     "toolchain/cortex_m7",
     "toolchain/verification",
+    "toolchain/boards",
     "toolchain/image",
     "flash/__init__.py",
     "flash/link",

@@ -13,6 +13,7 @@ from neuroflight.toolchain.contract.simulator_link import *
 from neuroflight.toolchain.contract.observation import *
 from neuroflight.toolchain.contract.policy_format import *
 from neuroflight.toolchain.contract.image_format import *
+from neuroflight.toolchain.contract.board_format import *
 from neuroflight.toolchain.contract.msp import *
 from neuroflight.toolchain.contract.modes import *
 from neuroflight.toolchain.contract.chirp import *

@@ -31,7 +31,7 @@ PYTHON_ONLY = (
 )
 TABLES = (
     *("POLICY_BLOB_FIELDS", "IMAGE_FIELDS", "IMAGE_STATE_FIELDS"),
-    *("SETTINGS", "CONFIGURATIONS", "LAYOUTS", "STRUCTS"),
+    *("SETTINGS", "CONFIGURATIONS", "LAYOUTS", "STRUCTS", "BOARD_STRUCTS"),
 )  # rendered as structs and tables
 
 
@@ -95,7 +95,10 @@ def render_contract() -> str:
             if block.in_firmware
         ],
         blob_fields=blob_header_fields(),
-        structs={name: _struct_fields(fields) for name, fields in contract.STRUCTS.items()},
+        structs={
+            name: _struct_fields(fields)
+            for name, fields in (contract.STRUCTS | contract.BOARD_STRUCTS).items()
+        },
         image_fields=_struct_fields(contract.IMAGE_FIELDS),
         image_state_fields=_struct_fields(contract.IMAGE_STATE_FIELDS),
         settings=[_setting(setting, setting) for setting in contract.SETTINGS],
