@@ -23,6 +23,10 @@ class BuildError(NeuroflightError):
     """A firmware build that cannot go on: unknown target, missing compiler, image too large."""
 
 
+class BoardError(NeuroflightError):
+    """A board that the firmware cannot fly, or a description of one that cannot be read."""
+
+
 class ImageError(NeuroflightError):
     """A file that holds no image for the board, or a damaged one."""
 

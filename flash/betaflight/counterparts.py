@@ -103,7 +103,7 @@ def _degrees(axis: str) -> Convert:
 
 _ALIGNMENTS = {"DEFAULT": 0.0, "CW0": 1.0, "CW90": 2.0, "CW180": 3.0, "CW270": 4.0}
 _PROCEDURES = {"DROP": 0.0, "AUTO-LAND": 1.0, "1": 0.0, "0": 1.0}
-_PROTOCOLS = {"DSHOT300": 0.0, "DSHOT600": 1.0}
+_PROTOCOLS = {"DSHOT150": 2.0, "DSHOT300": 0.0, "DSHOT600": 1.0}
 _RECEIVERS = {"SBUS": 0.0, "CRSF": 1.0}
 _NO_FLIP = "no chip here is turned so; `board_roll_deg` turns the whole board"
 _CURRENT = Counterpart("current sensor", _scaled("current_scale", 0.1), of_board=True)
@@ -123,7 +123,8 @@ SETTINGS: dict[str, Counterpart] = {
     "yaw_motors_reversed": Counterpart("turning direction", _switch("motors_reversed")),
     "yaw_motor_direction": Counterpart("turning direction", _direction),  # to 3.1
     "motor_pwm_protocol": Counterpart(
-        "motor protocol", _choice("motor_protocol", _PROTOCOLS, "ESCs here are told by DShot300 or DShot600")
+        "motor protocol",
+        _choice("motor_protocol", _PROTOCOLS, "ESCs here are told by DShot150, DShot300 or DShot600"),
     ),
     "failsafe_procedure": Counterpart(
         "failsafe", _choice("failsafe_stage", _PROCEDURES, "the failsafe here drops or descends")

@@ -17,6 +17,17 @@ DSHOT_MIN, DSHOT_MAX = 48, 2047  # 1..47 are commands, never sent by the control
 DSHOT_SPAN = DSHOT_MAX - DSHOT_MIN  # value = 48 + (uint16)(1999 u + 0.5)
 DSHOT_ALL_MOTORS = 255  # where a command may name one
 
+# --- What ESCs tell over the motor wire, in the answer to each frame: a word of 12 bits, by output ------
+ESC_SILENT = 0xFFFF  # in its place: nothing answered
+ESC_DAMAGED = 0xFFFE  # something did, but no valid word
+ESC_WORD_MAX = 0x0FFF
+# A speed: the period of an electrical turn in us, as 9 bits shifted left by an exponent of 3 bits. The
+# largest word is a rotor that stands still.
+ESC_STANDS = ESC_WORD_MAX
+ESC_MANTISSA_BITS = 9
+ESC_PERIOD_MAX_US = 510 << 7  # of a rotor that turns; a slower one is told to stand
+MOTOR_POLES_DEFAULT = 14  # magnets of a motor's bell
+
 
 class DshotCommand(IntEnum):
     """Commands to a motor's controller; all others are refused."""

@@ -29,6 +29,7 @@ from neuroflight.toolchain.contract.modes import (
     Mode,
     ModeRange,
 )
+from neuroflight.toolchain.contract.motors import MOTOR_POLES_DEFAULT
 from neuroflight.toolchain.contract.msp import MSP_BAUD_DEFAULT, MSP_BAUDS
 from neuroflight.toolchain.contract.receiver import (
     CHANNEL_AUX1,
@@ -284,7 +285,9 @@ SETTINGS = (
         for motor in range(1, MOTOR_COUNT_MAX + 1)
     ),
     _switch("motors_reversed", False, "props out: all motors turn the other way than in the aircraft file"),
-    _choice("motor_protocol", ("dshot300", "dshot600"), "to the ESCs", default=1),
+    _choice("motor_protocol", ("dshot300", "dshot600", "dshot150"), "to the ESCs", default=1),
+    _switch("motor_telemetry", False, "ESCs tell rotor speeds over the motor wires: bidirectional DShot"),
+    _whole("motor_poles", 2, 100, MOTOR_POLES_DEFAULT, "magnets", "of a motor's bell; even"),
     *_at_once(
         *(
             _number(f"pid_{axis}_{term}", low, high, 1.0, "1", _GAIN_MEANING)

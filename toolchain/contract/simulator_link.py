@@ -11,6 +11,10 @@ SIM_MOTOR_FORMAT = "<4f"  # fractions, motor 1..4
 SIM_SERVO_FORMAT = "<H2x16f"  # count, pulse widths in microseconds
 SIM_POWER_FORMAT = "<Id3f"  # magic, time s, volts, amps, control-time override in microseconds
 SIM_POWER_MAGIC = 0x3150464E  # "NFP1"
+# On the same port, before the state packet of a control step: what each ESC answered to the frame of the gyro
+# sample before, by output (contract/motors.py). Without one before a control step all are silent.
+SIM_ROTOR_FORMAT = "<Id8H"  # magic, time s, words
+SIM_ROTOR_MAGIC = 0x3152464E  # "NFR1"
 SIM_BATTERY_MV = 16800  # assumed where no simulator tells: four cells, full, at rest
 SIM_GYRO_ALIGNMENT = 2  # quarter turns clockwise of the simulated chip, as on a MATEKF722
 # What the controller used at a control step, sent on request (--trace-port) before the motor packet:

@@ -13,9 +13,16 @@ const struct board_identity host_identity = {
 	.unique_id = { 0x484F5354u, 0, 0 }, /* "HOST" */
 };
 
+static void host_board_silence(struct host_board *board)
+{
+	for (size_t i = 0; i < NF_MOTOR_COUNT_MAX; ++i)
+		board->rotors[i] = NF_ESC_SILENT;
+}
+
 void host_board_init(struct host_board *board, uint8_t *bytes)
 {
 	*board = (struct host_board){ .power = convert_power(NF_SIM_BATTERY_MV / 1000.0, 0.0) };
+	host_board_silence(board);
 	flash_model_init(&board->flash, bytes);
 	board->flash.running = HOST_BANK;
 }
@@ -49,6 +56,15 @@ static void host_board_motors_write(void *context, const uint16_t dshot[], size_
 
 	board->motor_count = count < NF_MOTOR_COUNT_MAX ? count : NF_MOTOR_COUNT_MAX;
 	memcpy(board->dshot, dshot, board->motor_count * sizeof dshot[0]);
+}
+
+/* Each control step has answers of its own. */
+static void host_board_rotors_read(void *context, uint16_t words[NF_MOTOR_COUNT_MAX])
+{
+	struct host_board *board = context;
+
+	memcpy(words, board->rotors, sizeof board->rotors);
+	host_board_silence(board);
 }
 
 static void host_board_trace_write(void *context, const struct control_trace *trace)
@@ -106,6 +122,7 @@ struct hal host_board_hal(struct host_board *board)
 		.context = board,
 		.receiver_read = host_board_receiver_read,
 		.motors_write = host_board_motors_write,
+		.rotors_read = host_board_rotors_read,
 		.trace_write = host_board_trace_write,
 		.deadline_missed = host_board_deadline_missed,
 		.cycles = host_board_cycles,

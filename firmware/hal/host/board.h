@@ -20,6 +20,7 @@ struct host_board {
 	double control_us;             /* duration of each control step, from the simulator; 0: not given */
 	uint16_t dshot[NF_MOTOR_COUNT_MAX]; /* as last written */
 	size_t motor_count;
+	uint16_t rotors[NF_MOTOR_COUNT_MAX]; /* words of the ESCs for the next control step */
 	struct flash_model flash;
 	const struct log_device *log; /* NULL: nothing takes a log */
 };

@@ -179,18 +179,22 @@ static void host_say_deaf(void)
 	host.deaf = true;
 }
 
-/* Takes the receiver and power packets that have arrived. */
+/* Takes the receiver, power and rotor packets that have arrived. */
 static void host_take_receiver_and_power(void)
 {
 	uint16_t channels_us[NF_CHANNEL_COUNT];
-	struct power_packet power;
+	union beside_packet packet;
 
 	while (link_take_receiver(&host.link, channels_us))
 		if (!receiver_line_put(&host.board.line, channels_us))
 			host_say_deaf();
-	while (link_take_power(&host.link, &power)) {
-		host.board.power = convert_power((double)power.volts, (double)power.amps);
-		host.board.control_us = (double)power.control_us;
+	while (link_take_beside(&host.link, &packet)) {
+		if (packet.magic == NF_SIM_ROTOR_MAGIC) {
+			memcpy(host.board.rotors, packet.rotors.words, sizeof host.board.rotors);
+			continue;
+		}
+		host.board.power = convert_power((double)packet.power.volts, (double)packet.power.amps);
+		host.board.control_us = (double)packet.power.control_us;
 	}
 }
 

@@ -37,6 +37,7 @@ struct trace_packet {
 _Static_assert(sizeof(struct state_packet) == NF_SIM_STATE_BYTES, "state");
 _Static_assert(sizeof(struct receiver_packet) == NF_SIM_RECEIVER_BYTES, "receiver");
 _Static_assert(sizeof(struct power_packet) == NF_SIM_POWER_BYTES, "power");
+_Static_assert(sizeof(struct rotor_packet) == NF_SIM_ROTOR_BYTES, "rotors");
 _Static_assert(sizeof(float[MOTOR_PACKET_MOTORS]) == NF_SIM_MOTOR_BYTES, "motor");
 _Static_assert(sizeof(struct servo_packet) == NF_SIM_SERVO_BYTES, "servo");
 _Static_assert(sizeof(struct trace_packet) == NF_SIM_TRACE_BYTES, "trace");
@@ -147,15 +148,16 @@ bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT
 	return false;
 }
 
-bool link_take_power(struct link *link, struct power_packet *power)
+bool link_take_beside(struct link *link, union beside_packet *packet)
 {
-	uint8_t bytes[PACKET_MAX];
+	uint8_t bytes[PACKET_MAX] = { 0 };
 
 	for (size_t size; (size = link_take(link->power, bytes)) > 0;) {
-		memcpy(power, bytes, sizeof *power);
-		if (size == sizeof *power && power->magic == NF_SIM_POWER_MAGIC)
+		memcpy(packet, bytes, sizeof *packet);
+		if ((size == sizeof packet->power && packet->magic == NF_SIM_POWER_MAGIC) ||
+		    (size == sizeof packet->rotors && packet->magic == NF_SIM_ROTOR_MAGIC))
 			return true;
-		link_ignore(link, "power", size, sizeof *power);
+		link_ignore(link, "power", size, sizeof packet->power);
 	}
 	return false;
 }

@@ -50,6 +50,20 @@ struct __attribute__((packed)) power_packet {
 	float control_us; /* that each control step takes; 0: not told */
 };
 
+/* A rotor packet. */
+struct __attribute__((packed)) rotor_packet {
+	uint32_t magic;
+	double time_s;
+	uint16_t words[NF_MOTOR_COUNT_MAX];
+};
+
+/* A power or a rotor packet: its magic says which. */
+union beside_packet {
+	uint32_t magic;
+	struct power_packet power;
+	struct rotor_packet rotors;
+};
+
 /* Takes one waiting state packet. False if none was waiting or it was malformed. */
 bool link_take_state(struct link *link, struct state_packet *state);
 
@@ -58,8 +72,8 @@ bool link_take_state(struct link *link, struct state_packet *state);
  * older, or follows 10 dropped ones, the sender's clock was reset, and it is taken. */
 bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT]);
 
-/* Takes one waiting power packet. False if no good one waits. */
-bool link_take_power(struct link *link, struct power_packet *power);
+/* Takes one waiting packet of the power port. False if no good one waits. */
+bool link_take_beside(struct link *link, union beside_packet *packet);
 
 /* The one reply to a state packet: on the motor port, or for more than four motors on the servo port. */
 void link_send_motors(const struct link *link, const uint16_t dshot[], size_t count);

@@ -95,6 +95,13 @@ void reference_power(void *self, double volts, double amps, double control_us)
 	r->board.control_us = control_us;
 }
 
+void reference_rotors(void *self, const uint16_t words[NF_MOTOR_COUNT_MAX])
+{
+	struct reference *r = self;
+
+	memcpy(r->board.rotors, words, sizeof r->board.rotors);
+}
+
 /* From body axes to those of the simulator's wire. */
 static void reference_turn(const double body[3], double frd[3])
 {

@@ -18,6 +18,9 @@ void reference_receiver(void *self, const uint16_t channels_us[NF_CHANNEL_COUNT]
 /* The battery from now on, and how long each control step takes [us], 0: no time. Until then: full. */
 void reference_power(void *self, double volts, double amps, double control_us);
 
+/* What each ESC, by output, answered to the last frame: for the next control step. Not called before one: all are silent. */
+void reference_rotors(void *self, const uint16_t words[NF_MOTOR_COUNT_MAX]);
+
 /* One gyro sample: body rates [rad/s] and specific force [m/s^2], axes forward, left, up. Writes one DShot value a motor
  * and returns whether one of them is another than `dshot` held. */
 bool reference_sample(void *self, const double rates[3], const double force[3], uint16_t dshot[]);

@@ -84,11 +84,19 @@ static bool hal_reset(void *context, enum nf_reboot kind)
 	return true;
 }
 
+/* These motors' wires go one way. */
+static void hal_rotors_read(void *context, uint16_t words[NF_MOTOR_COUNT_MAX])
+{
+	for (size_t i = 0; i < NF_MOTOR_COUNT_MAX; ++i)
+		words[i] = NF_ESC_SILENT;
+}
+
 static const struct log_device *hal_log(void *context, enum nf_log_device device);
 
 static const struct hal functions = {
 	.receiver_read = receiver_line_read,
 	.motors_write = motors_write,
+	.rotors_read = hal_rotors_read,
 	.trace_write = hal_trace_write,
 	.deadline_missed = hal_deadline_missed,
 	.cycles = hal_cycles,

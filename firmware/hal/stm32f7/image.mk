@@ -8,7 +8,7 @@ PYTHON ?= $(firstword $(wildcard ../.venv/bin/python) python3)
 
 # The boot part is made of its own sources and of what it shares with the image, compiled once more; of its names only
 # those remain that the linker needs, so that the image's may be the same.
-BOOT_SOURCES := $(sort $(wildcard hal/stm32f7/boot/*.c)) hal/stm32f7/core/gpio.c hal/stm32f7/startup/memory.c \
+BOOT_SOURCES := $(sort $(wildcard hal/stm32f7/boot/*.c)) hal/stm32f7/core/board.c hal/stm32f7/core/gpio.c hal/stm32f7/startup/memory.c \
 	src/storage/image_bank.c src/port/flash.c
 BOOT_OBJECTS := $(BOOT_SOURCES:%.c=$(OBJ)/boot/%.o)
 HAL_SOURCES := $(filter-out hal/stm32f7/boot/%,$(sort $(wildcard hal/stm32f7/*.c hal/stm32f7/*/*.c)))
@@ -75,7 +75,7 @@ $(BUILD)/neuroflight.dfu: $(BUILD)/neuroflight.elf
 
 # Both banks' images and their policy, one behind the other: what is sent to a board that runs one of them.
 $(BUILD)/neuroflight.nfi: $(BUILD)/neuroflight.elf $(BUILD)/neuroflight-b.elf
-	$(CROSS)objcopy -O binary --remove-section=.boot --remove-section=.policy --remove-section=.slot_b $< $@.a
+	$(CROSS)objcopy -O binary --remove-section=.boot --remove-section=.boot_board --remove-section=.policy --remove-section=.slot_b $< $@.a
 	$(CROSS)objcopy -O binary $(word 2,$^) $@.b
 	$(CROSS)objcopy -O binary --only-section=.policy $< $@.policy
 	cat $@.a $@.b $@.policy > $@

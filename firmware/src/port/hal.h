@@ -33,6 +33,10 @@ struct hal {
 	 * between control steps; `telemetry` is the frame's telemetry bit, which commands need. The chip sends them as
 	 * frames (dshot_frame of dshot.h) or packets. If the last frame is still on the wire, this one is dropped. */
 	void (*motors_write)(void *context, const uint16_t dshot[], size_t count, bool telemetry);
+	/* From `sample`, at the start of each control step while the setting motor_telemetry is on: of each output the
+	 * word of the ESC's answer to the last frame (toolchain/contract/motors.py): 12 bits, NF_ESC_SILENT or
+	 * NF_ESC_DAMAGED. Outputs that are not in use are silent. */
+	void (*rotors_read)(void *context, uint16_t words[NF_MOTOR_COUNT_MAX]);
 	/* From `sample`, after motors_write: the control step just done. A chip without a trace does nothing. */
 	void (*trace_write)(void *context, const struct control_trace *trace);
 	/* From `sample`: returns whether the control step that took `cycles` missed its deadline, the next control

@@ -80,31 +80,32 @@ MODELLED: dict[str, dict[str, str]] = {
         "PLLCFGR": _ALL,
         "CFGR": "SW SWS HPRE PPRE1 PPRE2",
         "CIR": _ALL,
-        "AHB1RSTR": "GPIOARST GPIOBRST GPIOCRST GPIODRST DMA1RST DMA2RST",
-        "APB1RSTR": "TIM2RST TIM3RST TIM4RST TIM5RST SPI3RST USART2RST USART3RST UART4RST UART5RST PWRRST",
-        "APB2RSTR": "TIM1RST TIM8RST USART1RST ADCRST SPI1RST SYSCFGRST",
+        "AHB1RSTR": "GPIOARST GPIOBRST GPIOCRST GPIODRST GPIOERST DMA1RST DMA2RST",
+        "APB1RSTR": "TIM2RST TIM3RST TIM4RST TIM5RST SPI2RST SPI3RST USART2RST USART3RST UART4RST UART5RST "
+        "PWRRST",
+        "APB2RSTR": "TIM1RST TIM8RST USART1RST USART6RST ADCRST SPI1RST SYSCFGRST",
         "AHB2RSTR": "OTGFSRST",
-        "AHB1ENR": "GPIOAEN GPIOBEN GPIOCEN GPIODEN DMA1EN DMA2EN DTCMRAMEN",
+        "AHB1ENR": "GPIOAEN GPIOBEN GPIOCEN GPIODEN GPIOEEN DMA1EN DMA2EN DTCMRAMEN",
         "AHB2ENR": "OTGFSEN",
-        "APB1ENR": "TIM2EN TIM3EN TIM4EN TIM5EN SPI3EN USART2EN USART3EN UART4EN UART5EN PWREN",
-        "APB2ENR": "TIM1EN TIM8EN USART1EN ADC1EN SPI1EN SYSCFGEN",
+        "APB1ENR": "TIM2EN TIM3EN TIM4EN TIM5EN SPI2EN SPI3EN USART2EN USART3EN UART4EN UART5EN PWREN",
+        "APB2ENR": "TIM1EN TIM8EN USART1EN USART6EN ADC1EN SPI1EN SYSCFGEN",
         "CSR": _ALL,
         "DCKCFGR1": "TIMPRE",
-        "DCKCFGR2": "USART1SEL USART2SEL USART3SEL UART4SEL UART5SEL",
+        "DCKCFGR2": "USART1SEL USART2SEL USART3SEL UART4SEL UART5SEL USART6SEL",
     },
     "PWR": {"CR1": "VOS ODEN ODSWEN PVDE PLS DBP", "CSR1": "PVDO VOSRDY ODRDY ODSWRDY"},
     "FLASH": {
         **dict.fromkeys(["ACR", "KEYR", "OPTKEYR", "CR", "OPTCR", "OPTCR1", "OPTCR2"], _ALL),
         "SR": "EOP OPERR WRPERR PGAERR PGPERR ERSERR BSY",
     },
-    **{f"GPIO{port}": _GPIO for port in "ABCD"},
+    **{f"GPIO{port}": _GPIO for port in "ABCDE"},
     "SYSCFG": dict.fromkeys(("EXTICR1", "EXTICR2", "EXTICR3", "EXTICR4"), _ALL),
     "EXTI": dict.fromkeys(["IMR", "RTSR", "FTSR", "SWIER", "PR"], _ALL),
     **dict.fromkeys(["DMA1", "DMA2"], _DMA),
     **dict.fromkeys(["TIM1", "TIM8"], _ADVANCED_TIMER),
     **{f"TIM{n}": _TIMER for n in (2, 3, 4, 5)},
-    **dict.fromkeys(["SPI1", "SPI3"], _SPI),
-    **dict.fromkeys(["USART1", "USART2", "USART3", "UART4", "UART5"], _USART),
+    **dict.fromkeys(["SPI1", "SPI2", "SPI3"], _SPI),
+    **dict.fromkeys(["USART1", "USART2", "USART3", "UART4", "UART5", "USART6"], _USART),
     "ADC1": {
         "SR": "EOC STRT OVR",
         "CR1": "EOCIE SCAN RES OVRIE",
@@ -118,7 +119,7 @@ MODELLED: dict[str, dict[str, str]] = {
 }
 
 # Accesses narrower than a word (RM0431: GPIO by byte, half-word and word; SPI_DR packs data by width).
-_NARROW = {"GPIO": (1, 2, 4), "SPI1.DR": (1, 2, 4), "SPI3.DR": (1, 2, 4), "TIM": (2, 4)}
+_NARROW = {"GPIO": (1, 2, 4), **{f"SPI{n}.DR": (1, 2, 4) for n in (1, 2, 3)}, "TIM": (2, 4)}
 _ACCESS = {"read-write": "rw", "read-only": "r", "write-only": "w", None: "rw"}
 _CORE = 0xE0000000  # from here on it is the core's, which the engine knows (ARMv7-M B3.1)
 

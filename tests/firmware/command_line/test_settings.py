@@ -121,7 +121,7 @@ def test_get_tells_value_limits_and_default(idle: IdleFirmware) -> None:
     idle.open()
     assert idle.tell("get gyro_rate") == ["gyro_rate_hz = 4000 (1000 to 8000 Hz; default 4000)"]
     assert idle.tell("get motor_protocol") == [
-        "motor_protocol = dshot600 (one of dshot300,dshot600; default dshot600)"
+        "motor_protocol = dshot600 (one of dshot300,dshot600,dshot150; default dshot600)"
     ]
     assert idle.tell("get pilot_name") == ["pilot_name = - (at most 16 characters, - for none)"]
     names = [line.split(" = ")[0] for line in idle.tell("get")]
@@ -151,7 +151,7 @@ def test_get_tells_value_limits_and_default(idle: IdleFirmware) -> None:
         ("set failsafe_throttle = 1", "failsafe_throttle: got '1', expected 1.0, or 0.01 for a percent"),
         ("set yaw_expo = 1", "yaw_expo: got '1', expected 1.0, or 0.01 for a percent; a diff"),
         ("set yaw_expo = 20", "yaw_expo: got '20', expected 0 to 1.0"),
-        ("set motor_protocol = pwm", "motor_protocol: got 'pwm', expected one of dshot300,dshot600"),
+        ("set motor_protocol = pwm", "motor_protocol: got 'pwm', expected one of dshot300,dshot600,dshot150"),
         ("set craft_name = 12345678901234567", "craft_name: got '12345678901234567', expected at most 16"),
         ("set mode1 = arm aux1 1701 2100", "expected ends from 900 to 2100 us, multiples of 25"),
         ("set mode1 = fly aux1 1700 2100", "expected a mode: arm, beeper, pid or trial"),

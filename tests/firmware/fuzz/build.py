@@ -43,6 +43,7 @@ TARGETS = {
     "command_line": Target(("msp.c", "world.c")),
     "usb_serial": Target(("usb.c",), "DISK=0"),
     "usb_disk": Target(("usb.c",), "DISK=1"),
+    "esc_answers": Target(("esc_answers.c",)),
 }
 
 

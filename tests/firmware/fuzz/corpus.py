@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.firmware.fuzz.command_line_seeds import command_line_seeds, words
+from tests.firmware.fuzz.esc_answers_seeds import esc_answers_seeds
 from tests.firmware.fuzz.msp_seeds import msp_seeds
 from tests.firmware.fuzz.receiver_seeds import crsf_seeds, sbus_seeds
 from tests.firmware.fuzz.usb_seeds import usb_disk_seeds, usb_serial_seeds
@@ -19,6 +20,7 @@ SEEDS = {
     "command_line": command_line_seeds,
     "usb_serial": usb_serial_seeds,
     "usb_disk": usb_disk_seeds,
+    "esc_answers": esc_answers_seeds,
 }
 WORDS = {"command_line": words}  # of a target, that libFuzzer is told
 

@@ -48,7 +48,7 @@ def test_a_change_is_read_when_it_says_a_value_of_a_setting(scripted: Any, text:
         "gyro_rate_hz=8000.0",
         "failsafe_throttle=1.1",
         "motor_protocol=pwm",
-        "motor_protocol=2",
+        "motor_protocol=3",
         "mode1=arm aux1 1701 2100",
         "mode1=1",
         "x" * 60 + "=1",

@@ -27,14 +27,15 @@ def test_frame_is_the_known_one_when_the_value_is(
     telemetry: bool,
     frame: int,
 ) -> None:
-    assert scripted.lib.dshot_frame(value, telemetry) == frame
+    assert scripted.lib.dshot_frame(value, telemetry, False) == frame
 
 
-def test_every_frame_checks_when_its_nibbles_are_xored(scripted: Any) -> None:
+@pytest.mark.parametrize("answered", [False, True])
+def test_every_frame_checks_when_its_nibbles_are_xored(scripted: Any, answered: bool) -> None:
     for value in range(2048):
         for telemetry in (False, True):
-            frame = scripted.lib.dshot_frame(value, telemetry)
-            assert reduce(xor, ((frame >> shift) & 0xF for shift in (0, 4, 8, 12))) == 0
+            frame = scripted.lib.dshot_frame(value, telemetry, answered)
+            assert reduce(xor, ((frame >> shift) & 0xF for shift in (0, 4, 8, 12))) == (15 if answered else 0)
             assert frame >> 5 == value
             assert bool(frame >> 4 & 1) is telemetry
 

@@ -170,7 +170,7 @@ def test_a_text_is_read_when_it_says_a_value(
         ("motor_protocol", "dshot600x", Error.NO_CHOICE),
         ("motor_protocol", "dshot300,dshot600", Error.NO_CHOICE),
         ("motor_protocol", "dshot300 dshot600", Error.NO_CHOICE),
-        ("motor_protocol", "2", Error.NO_CHOICE),
+        ("motor_protocol", "3", Error.NO_CHOICE),
         ("motor_protocol", "", Error.NO_CHOICE),
         ("motor_protocol", ",", Error.NO_CHOICE),
         ("gyro_rate_hz", "", Error.NOT_WHOLE),

@@ -1,9 +1,9 @@
 #include "hal/stm32f7/core/clock.h"
 
-#include "board.h"
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/time.h"
+#include "targets/MATEKF722/board.h"
 
 /* VCO input 2 MHz (the manual's choice against jitter), VCO 432 MHz, USB clock 432 / 9 = 48 MHz. */
 #define PLL_M (BOARD_HSE_HZ / PLL_INPUT_HZ)

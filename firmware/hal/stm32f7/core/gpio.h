@@ -11,6 +11,17 @@ struct pin {
 	uint32_t number; /* 0..15 */
 };
 
+#define GPIO_PORTS 8u /* A to H */
+#define GPIO_PORT_STEP (GPIOB - GPIOA)
+
+/* The pin that a board's description calls `code`; its port is 0 where there is none. */
+static inline struct pin pin_of(uint8_t code)
+{
+	const uint32_t port = code >> 4;
+
+	return port < GPIO_PORTS ? (struct pin){ GPIOA + GPIO_PORT_STEP * port, code & 0xFu } : (struct pin){ 0, 0 };
+}
+
 /* Values of the GPIO registers' two-bit fields (RM0431 chapter 6). */
 enum gpio_mode { GPIO_INPUT = 0, GPIO_OUTPUT = 1, GPIO_ALTERNATE = 2, GPIO_ANALOG = 3 };
 enum gpio_pull { GPIO_FLOATING = 0, GPIO_PULL_UP = 1, GPIO_PULL_DOWN = 2 };

@@ -1,8 +1,8 @@
 #include "hal/stm32f7/core/motor_pins.h"
 
-#include "board.h"
 #include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/registers.h"
+#include "targets/MATEKF722/board.h"
 
 static const struct motor_pin {
 	struct pin pin;

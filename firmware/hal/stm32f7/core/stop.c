@@ -3,13 +3,13 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "board.h"
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/watchdog.h"
+#include "targets/MATEKF722/board.h"
 
 #define FLASH_MS 150u /* lit, then as long dark */
 #define PAUSE_MS 900u

@@ -12,7 +12,7 @@ enum { SPEED_211K = 7, SPEED_13M5 = 1 };
 #define TRANSFER_MS 50u /* the longest takes 20 */
 
 /* Bytes to send; DMA overwrites them with the received bytes, at least one byte behind. */
-static DMA_BUFFER_SLOW uint8_t card_bytes[SD_TRANSFER_BYTES];
+static DMA_BUFFER_SLOW uint8_t card_bytes[SPI_BUS_BYTES];
 static struct card_log card_log;
 static struct log_device device;
 static uint32_t started_ms;
@@ -58,7 +58,7 @@ static uint32_t card_milliseconds(void *context)
 	return time_ms();
 }
 
-static const struct sd_bus bus = {
+static const struct spi_bus bus = {
 	.bytes = card_bytes,
 	.start = card_start,
 	.done = card_done,
@@ -67,7 +67,7 @@ static const struct sd_bus bus = {
 	.milliseconds = card_milliseconds,
 };
 
-const struct sd_bus *card_spi_open(void)
+const struct spi_bus *card_spi_open(void)
 {
 	gpio_output(BOARD_CARD_CS, true);
 	/* The pull-up makes an empty slot say nothing but ones. */

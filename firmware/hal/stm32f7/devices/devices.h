@@ -103,4 +103,4 @@ const struct log_device *log_uart_start(uint32_t baud);
 const struct log_device *card_spi_start(void);
 
 /* Its bus alone, for something else that uses the card. */
-const struct sd_bus *card_spi_open(void);
+const struct spi_bus *card_spi_open(void);

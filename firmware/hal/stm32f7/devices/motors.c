@@ -68,6 +68,7 @@ static const struct bank banks[] = { BOARD_MOTOR_BANKS };
 static const uint32_t bits_a_second[] = {
 	[NF_MOTOR_PROTOCOL_DSHOT300] = 300000,
 	[NF_MOTOR_PROTOCOL_DSHOT600] = 600000,
+	[NF_MOTOR_PROTOCOL_DSHOT150] = 150000,
 };
 
 struct pulse {
@@ -79,7 +80,7 @@ struct pulse {
 static uint32_t banks_in_use, bits_hz;
 static struct pulse pulses[BANK_COUNT];
 
-/* A frame has long ended by the next write, a gyro period later: 60 us with DShot300, 125 us at 8 kHz. A stream that is
+/* A frame has long ended by the next write, a gyro period later: 107 us with DShot150, 125 us at 8 kHz. A stream that is
  * enabled at so many writes in a row gets no requests any more, and would never end by itself. */
 #define STUCK_WRITES 4u
 static uint32_t writes_dropped, restarts;
@@ -134,7 +135,7 @@ static bool motors_busy(void)
 	return false;
 }
 
-#define FRAME_CYCLES (CLOCK_CORE_HZ / 10000u) /* 100 us; the longest, DShot300, takes 54 */
+#define FRAME_CYCLES (CLOCK_CORE_HZ / 5000u) /* 200 us; the longest, DShot150, takes 107 */
 
 __attribute__((cold)) void motors_finish(void)
 {
@@ -210,7 +211,8 @@ void motors_write(void *context, const uint16_t dshot[], size_t count, bool tele
 
 		for (uint32_t motor = 0; motor < bank->width; ++motor) {
 			const uint32_t index = bank->first + motor;
-			const uint32_t frame = dshot_frame(index < count ? dshot[index] : NF_DSHOT_STOP, telemetry);
+			const uint32_t frame = dshot_frame(index < count ? dshot[index] : NF_DSHOT_STOP, telemetry,
+							   false);
 
 			if (bank->width == BURST_WIDTH)
 				motors_fill(bank->slots + motor, BURST_WIDTH, frame, &pulses[i]);

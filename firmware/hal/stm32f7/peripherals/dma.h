@@ -22,6 +22,16 @@ struct dma_stream {
 	uint32_t channel;    /* the request that drives it (RM0431 8.3.3, request mapping) */
 };
 
+/* The stream that a board's description calls `code`; its controller is 0 where there is none. */
+static inline struct dma_stream stream_of(uint16_t code)
+{
+	const uint32_t controller = code >> 8, channel = code & 0xFu;
+
+	if (controller != 1u && controller != 2u)
+		return (struct dma_stream){ 0, 0, 0 };
+	return (struct dma_stream){ controller == 1u ? DMA1 : DMA2, code >> 4 & 7u, channel };
+}
+
 /* Streams of peripherals that every board uses (RM0431 8.3.3); board.h has the others. */
 #define DMA_POWER ((struct dma_stream){ DMA2, 0, 0 })   /* ADC1 */
 #define DMA_GYRO_RX ((struct dma_stream){ DMA2, 2, 3 }) /* SPI1_RX */

@@ -378,7 +378,7 @@ static enum log_answer log_erase(void *context)
 	return LOG_LATER;
 }
 
-void card_log_init(struct card_log *log, const struct sd_bus *bus, struct log_device *device)
+void card_log_init(struct card_log *log, const struct spi_bus *bus, struct log_device *device)
 {
 	memset(log, 0, sizeof *log);
 	log->wanted = SD_NO_BLOCK;

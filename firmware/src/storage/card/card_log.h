@@ -33,4 +33,4 @@ struct card_log {
 };
 
 /* Nothing is moved yet. `device` is filled with what works on `log`. */
-void card_log_init(struct card_log *log, const struct sd_bus *bus, struct log_device *device);
+void card_log_init(struct card_log *log, const struct spi_bus *bus, struct log_device *device);

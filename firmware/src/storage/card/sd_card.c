@@ -195,8 +195,8 @@ static void sd_send_block(struct sd_card *card)
 	memcpy(bytes + 2, card->source, SD_BLOCK_BYTES);
 	bytes[2u + SD_BLOCK_BYTES] = (uint8_t)(crc >> 8);
 	bytes[3u + SD_BLOCK_BYTES] = (uint8_t)crc;
-	memset(bytes + 4u + SD_BLOCK_BYTES, RELEASED, SD_TRANSFER_BYTES - SD_BLOCK_BYTES - 4u);
-	sd_transfer(card, SD_TRANSFER_BYTES);
+	memset(bytes + 4u + SD_BLOCK_BYTES, RELEASED, SPI_BUS_BYTES - SD_BLOCK_BYTES - 4u);
+	sd_transfer(card, SPI_BUS_BYTES);
 }
 
 /* Is the job to read a block that a sequence may hold? The card's last one is not: behind it a card has no other one to
@@ -428,7 +428,7 @@ static void sd_commanded(struct sd_card *card)
 		if (card->phase == SD_RESET) {
 			sd_select(card, true);
 			sd_enter(card, SD_FLUSH);
-			sd_listen(card, SD_TRANSFER_BYTES);
+			sd_listen(card, SPI_BUS_BYTES);
 		} else {
 			sd_send(card);
 		}
@@ -442,7 +442,7 @@ static void sd_commanded(struct sd_card *card)
 static void sd_block_sent(struct sd_card *card)
 {
 	const uint8_t *answer = card->bus->bytes + 4u + SD_BLOCK_BYTES;
-	const uint8_t *const last = card->bus->bytes + SD_TRANSFER_BYTES - 1u;
+	const uint8_t *const last = card->bus->bytes + SPI_BUS_BYTES - 1u;
 
 	while (answer != last && (*answer & RESPONSE_MASK) != RESPONSE)
 		++answer;
@@ -514,7 +514,7 @@ static void sd_transferred(struct sd_card *card)
 	}
 }
 
-void sd_card_init(struct sd_card *card, const struct sd_bus *bus)
+void sd_card_init(struct sd_card *card, const struct spi_bus *bus)
 {
 	*card = (struct sd_card){ .bus = bus, .held = SD_NO_BLOCK };
 	card->phase = SD_ABSENT;

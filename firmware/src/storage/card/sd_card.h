@@ -8,28 +8,16 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define SD_BLOCK_BYTES 512u
-#define SD_TRANSFER_BYTES 520u /* a block on the line, and the card's answer to it */
-#define SD_NO_BLOCK UINT32_MAX
+#include "port/spi_bus.h"
 
-/* The bus, given by the HAL. */
-struct sd_bus {
-	void *context; /* the first argument of every function */
-	uint8_t *bytes; /* [SD_TRANSFER_BYTES]: what is sent, and after a transfer what came */
-	/* Exchanges the first `count` of `bytes`. One that fails leaves them or garbage. */
-	void (*start)(void *context, size_t count);
-	/* Has the transfer ended? */
-	bool (*done)(void *context);
-	void (*select)(void *context, bool selected); /* only between transfers */
-	void (*speed)(void *context, bool fast); /* at most 400 kHz, or 25 MHz; likewise */
-	uint32_t (*milliseconds)(void *context); /* any clock, wraps at 2^32 */
-};
+#define SD_BLOCK_BYTES 512u
+#define SD_NO_BLOCK UINT32_MAX
 
 enum sd_outcome { SD_PENDING, SD_DONE, SD_FAILED };
 
 /* All members are private except those marked as readable. */
 struct sd_card {
-	const struct sd_bus *bus;
+	const struct spi_bus *bus;
 	uint32_t blocks; /* read: of the card; 0: there is none that can be used */
 	uint8_t error; /* read: enum nf_log_error, why there is none */
 	uint8_t outcome; /* read: of the last job */
@@ -51,7 +39,7 @@ struct sd_card {
 	uint8_t data[SD_BLOCK_BYTES + 2u]; /* read, behind a read: its first SD_BLOCK_BYTES */
 };
 
-void sd_card_init(struct sd_card *card, const struct sd_bus *bus);
+void sd_card_init(struct sd_card *card, const struct spi_bus *bus);
 /* As often as possible, once a millisecond or so at least. */
 void sd_card_step(struct sd_card *card);
 

@@ -44,7 +44,7 @@ class Recorder:
             ffi.callback("void(void *, bool)", self._speed),
             ffi.callback("uint32_t(void *)", lambda context: self.cycle // 216_000 & 0xFFFFFFFF),
         ]
-        self.bus = ffi.new("struct sd_bus *", (ffi.NULL, self.bytes, *self._kept))
+        self.bus = ffi.new("struct spi_bus *", (ffi.NULL, self.bytes, *self._kept))
         self._error: Exception | None = None
         self.boot()
 

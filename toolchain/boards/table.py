@@ -1,0 +1,120 @@
+"""The boards with an STM32F722 that public configurations name: boards.csv, a row for each.
+
+Its wiring is that of the configurations which makers have published for Betaflight, as of August 2026. All
+have a crystal of 8 MHz. Of a second gyro it tells the chip select alone; and what a configuration calls by a
+name of its own instead of a pin's is not told.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+from neuroflight.toolchain.boards.facts import Board, Bus, Chip, GyroPlace, Pin, Uart
+from neuroflight.toolchain.contract import BoardLog
+from neuroflight.toolchain.errors import BoardError
+
+TABLE = Path(__file__).with_name("boards.csv")
+NEAR = 3  # names that an unknown one is answered with
+DIVIDER_USUAL = 110  # [0.1] of the battery's voltage, where a configuration says nothing
+_SERIAL = ("SERIAL_PORT_USART", "SERIAL_PORT_UART")
+_T = TypeVar("_T")
+
+
+@cache
+def boards() -> Mapping[str, Board]:
+    """Return the boards of the table by name, in its order."""
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        return {row["board"]: _board(row) for row in csv.DictReader(file)}
+
+
+def find_board(name: str) -> Board:
+    """Return the board of that name, in capitals or not. Raises BoardError, one line with names alike."""
+    known = boards()
+    board = known.get(name) or known.get(name.upper())
+    if board is None:
+        near = difflib.get_close_matches(name[:60].upper(), known, NEAR, cutoff=0.5)
+        alike = f", did you mean {' or '.join(near)}?" if near else ";"
+        raise BoardError(
+            f"unknown board {name[:60]!r}{alike} `neuroflight board target list` names all {len(known)}; "
+            "`neuroflight board target import` makes a target of a board's own configuration"
+        )
+    return board
+
+
+def alignment_code(text: str) -> int:
+    """Return the number of CW90_DEG_FLIP: quarter turns clockwise, and 4 for _FLIP. Raises ValueError."""
+    degrees = text.removeprefix("CW").removesuffix("_FLIP").removesuffix("_DEG")
+    if not text.startswith("CW") or degrees not in ("0", "90", "180", "270"):
+        raise ValueError(
+            f"alignment {text[:60]!r}, expected CW0_DEG, CW90_DEG, CW180_DEG, CW270_DEG or with _FLIP"
+        )
+    return int(degrees) // 90 + 4 * text.endswith("_FLIP")
+
+
+def _board(row: Mapping[str, str]) -> Board:
+    gyro_spi, select = _given(row["gyro_spi"], _spi), _given(row["gyro_cs"], Pin.of)
+    gyros: tuple[GyroPlace, ...] = ()
+    if gyro_spi is not None and select is not None:
+        ready = _given(row["gyro_exti"], Pin.of)
+        gyros = (GyroPlace(gyro_spi, select, ready, alignment_code(row["gyro_align"] or "CW0_DEG")),)
+        if row["gyro2_cs"]:
+            gyros += (GyroPlace(gyro_spi, Pin.of(row["gyro2_cs"]), None, 0),)
+    kind, _, flash = row["blackbox"].partition(":")
+    log_kind = {"": BoardLog.NONE, "sdcard": BoardLog.CARD, "flash": BoardLog.FLASH}[kind]
+    place = {BoardLog.NONE: "", BoardLog.CARD: "sd", BoardLog.FLASH: "flash"}[log_kind]
+    return Board(
+        name=row["board"],
+        maker=row["maker"],
+        gyro_kinds=tuple(row["gyros"].split("/")) if row["gyros"] else (),
+        gyros=gyros,
+        buses={number: Bus(*map(Pin.of, pins)) for number, pins in _numbered(row["spi"]).items()},
+        uarts={
+            number: Uart(*(None if pin == "-" else Pin.of(pin) for pin in pins))
+            for number, pins in _numbered(row["uarts"]).items()
+        },
+        receiver=_given(row["serial_rx"], _serial),
+        motors=tuple(Pin.of(row[f"motor{i}"]) for i in range(1, 9) if row[f"motor{i}"]),
+        log_kind=log_kind,
+        log_chip=_chip(row, place) if place else None,
+        flash_kinds=tuple(flash.split("/")) if flash else (),
+        osd=_chip(row, "osd"),
+        led=_given(row["led0"], Pin.of),
+        led_high=row["led_inverted"] == "yes",  # inverted against Betaflight's usual one, which low lights
+        beeper=_given(row["beeper"], Pin.of),
+        beeper_high=row["beeper_inverted"] == "yes",
+        usb_supply=_given(row["usb_detect"], Pin.of),
+        volts=_given(row["vbat"], Pin.of),
+        amps=_given(row["current"], Pin.of),
+        volts_scale=int(row["vbat_scale"] or DIVIDER_USUAL),
+        amps_scale=int(row["current_scale"] or 0),
+    )
+
+
+def _given(text: str, read: Callable[[str], _T]) -> _T | None:
+    return read(text) if text else None
+
+
+def _spi(text: str) -> int:
+    return int(text.removeprefix("SPI"))
+
+
+def _serial(text: str) -> int:
+    for prefix in _SERIAL:
+        text = text.removeprefix(prefix)
+    return int(text)
+
+
+def _numbered(text: str) -> dict[int, list[str]]:
+    """Return the pins of 1:PA5/PA6/PA7;2:PB13/PB14/PB15 by number."""
+    parts = (part.partition(":") for part in text.split(";") if part)
+    return {int(number): pins.split("/") for number, _, pins in parts}
+
+
+def _chip(row: Mapping[str, str], place: str) -> Chip | None:
+    spi, select = row[f"{place}_spi"], row[f"{place}_cs"]
+    return Chip(_spi(spi), Pin.of(select)) if spi and select else None
