@@ -1,6 +1,8 @@
 # Neuroflight's front door. Every target works first on a fresh machine; each is one call into a room.
 # Each brings the packages that it needs and no others: EXTRA is what the largest of the targets asked for needs.
 TARGET   ?= MATEKF722
+# The folder of its outputs: the name that a TOML file gives the board.
+NAME      = $(if $(filter %.toml,$(TARGET)),$(shell sed -n 's/^name = "\(.*\)"$$/\1/p' "$(TARGET)"),$(TARGET))
 AIRCRAFT ?= nf1
 ALGORITHM ?=
 CONFIG   ?=
@@ -74,11 +76,11 @@ $(READY): setup.sh pyproject.toml setup.py constraints.txt
 arm: # the ARM compiler and llvm-mca, from the system's packages where that is allowed; it goes without llvm-mca
 	$(call bring,arm-none-eabi-gcc,llvm-mca,$(ARM_PACKAGES))
 
-firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [AIRCRAFT=nf1|mine.toml] [POLICY=path.onnx] [BUILD="--no-pid"]
-	@$(RUN) image build --target $(TARGET) $(OF) $(BRIEF) $(BUILD)
+firmware: $(READY) arm ## the flash image: TARGET=MATEKF722|any board|mine.toml [AIRCRAFT=nf1|mine.toml] [POLICY=path.onnx] [BUILD="--no-pid"]
+	@$(RUN) image build --target "$(TARGET)" $(OF) $(BRIEF) $(BUILD)
 
 flash: firmware ## the image, as built last, onto a board that runs Neuroflight: [PORT=/dev/ttyUSB0] [ARGS="--dry-run"]
-	@$(RUN) board flash build/$(TARGET)/neuroflight.nfi $(if $(PORT),--port "$(PORT)") $(ARGS)
+	@$(RUN) board flash build/$(NAME)/neuroflight.nfi $(if $(PORT),--port "$(PORT)") $(ARGS)
 
 host: $(READY) ## the same firmware as a program of this machine
 	@$(RUN) image build --target HOST $(OF) $(BRIEF) $(BUILD)
@@ -95,7 +97,7 @@ view: $(READY) ## a Split-S in 3D, as a page for the browser: [POLICY=path.onnx]
 	@$(RUN) view $(POLICY) $(TWIN) --scenario sim/scenarios/split_s.toml --mount free --seed $(SEED) --out build/flight.html $(ARGS)
 
 emulate: firmware ## the image to be flashed flies on an emulated board: roll, flip, Split-S, a minute of commands and hover
-	@$(RUN) fly --on board --build build/$(TARGET) $(TWIN) --seed $(SEED) \
+	@$(RUN) fly --on board --build build/$(NAME) $(TWIN) --seed $(SEED) \
 	  --scenario roll flip sim/scenarios/split_s.toml flight $(ARGS)
 
 test: firmware host peers ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]

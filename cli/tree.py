@@ -39,6 +39,7 @@ NOUNS = {
     "board policy": "the policy that the board flies: list, swap, go back",
     "board settings": "settings of the board: get, set, store, restore them",
     "board motors": "motors on the bench, propellers off",
+    "board target": "boards that images can be built for: list, import one",
     "board logs": "logs of flights that the board keeps",
     "log": "logs of flights as files: decode, draw, measure, replay them",
 }
@@ -198,6 +199,14 @@ COMMANDS = {
     ),
     "board motors order": Leaf(
         "find out which output each motor is wired to, by turning them, and store it", "board.motors:Order"
+    ),
+    "board target list": Leaf(
+        "boards that images can be built for, and what each flies without; or one, and what serves what",
+        "board.target:List",
+    ),
+    "board target import": Leaf(
+        "a target from what Betaflight's `dump hardware` or a config.h tells of a board, checked",
+        "board.target:Import",
     ),
     "board logs list": Leaf("what the device of the blackbox does, and the logs it keeps", "board.logs:List"),
     "board logs fetch": Leaf(

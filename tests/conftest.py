@@ -25,7 +25,7 @@ import pytest
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.control.pid_table import pid_table
 from neuroflight.toolchain.files import locked
-from neuroflight.toolchain.image.build import build
+from neuroflight.toolchain.image.build import build, find_target
 from neuroflight.toolchain.image.report import AircraftFacts
 from neuroflight.toolchain.policy.freeze import to_onnx
 from neuroflight.toolchain.rendering.pid_table import PidTable
@@ -125,21 +125,27 @@ def build_beside(
     Objects are those around the shipped policy, and make knows which of them `policy` changes.
     """
     build_shipped(target, SHIPPED)
-    made, out = (BUILD / target).resolve(), (folder / target).resolve()
-    with locked(folder):
-        if not out.exists():
-            aside = out.with_name(f"{target}.copied")
-            shutil.rmtree(aside, ignore_errors=True)
-            with locked(made):
-                shutil.copytree(made, aside)
-            for dependencies in aside.rglob("*.d"):  # they name an object by where it was made
-                text = dependencies.read_text()
-                if str(made) not in text:  # by another name of it: then nobody knows what it depends on
-                    dependencies.with_suffix(".o").unlink()
-                dependencies.write_text(text.replace(str(made), str(out)))
-            aside.rename(out)
+    for name in {find_target(target).family, target}:
+        made, out = (BUILD / name).resolve(), (folder / name).resolve()
+        with locked(folder):
+            if not out.exists():
+                _copy_build(made, out)
     build_once(target, policy, folder, pid, aircraft)
-    return out
+    return (folder / target).resolve()
+
+
+def _copy_build(made: Path, out: Path) -> None:
+    """Copy what was built in the folder `made`, as if it had been built in `out`."""
+    aside = out.with_name(f"{out.name}.copied")
+    shutil.rmtree(aside, ignore_errors=True)
+    with locked(made):
+        shutil.copytree(made, aside)
+    for dependencies in aside.rglob("*.d"):  # they name an object by where it was made
+        text = dependencies.read_text()
+        if str(made) not in text:  # by another name of it: then nobody knows what it depends on
+            dependencies.with_suffix(".o").unlink()
+        dependencies.write_text(text.replace(str(made), str(out)))
+    aside.rename(out)
 
 
 def build_kept(

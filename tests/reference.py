@@ -1,7 +1,8 @@
 """Writes the pages of docs/reference that the code knows: `python -m tests.reference`.
 
 Commands come from the parsers of the command line, targets from the Makefile, settings and MSP from the
-contract, keys of a training configuration from its dataclasses, whose comments are the page's words.
+contract, boards from their table, keys of a training configuration from its dataclasses, whose comments are
+the page's words.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from pathlib import Path
 
 from neuroflight.cli.compare.compare import DEFAULT, SUITES
 from neuroflight.cli.tree import COMMANDS, leaf_parser
+from neuroflight.toolchain.boards.allocation import Allocation
+from neuroflight.toolchain.boards.table import boards
+from neuroflight.toolchain.boards.verdict import COMMON, judge
 from neuroflight.toolchain.files import write_text_if_changed
 from neuroflight.toolchain.rendering.msp_page import msp_tables
 from neuroflight.toolchain.rendering.settings_page import settings_table
@@ -199,8 +203,60 @@ def _filled(name: str, tables: dict[str, str]) -> str:
     return TABLE.sub(lambda found: found[1] + tables[found[2]] + found[3], page)
 
 
+# --- Boards -----------------------------------------------------------------------------------------
+def boards_page() -> str:
+    """Return every board of the table: what it is, whether it is flown, and what it flies without."""
+    verdicts = [judge(board) for board in boards().values()]
+    flown = [verdict for verdict in verdicts if verdict.allocation is not None]
+    rows = [
+        (
+            *(f"`{verdict.board.name}`", verdict.board.maker, " ".join(verdict.board.gyro_kinds)),
+            *(str(verdict.motors), verdict.log, _uarts(verdict.allocation)),
+            _cell("; ".join(verdict.without)),
+        )
+        for verdict in flown
+    ]
+    parts = [
+        "# Boards",
+        WRITTEN,
+        f"Of the {len(verdicts)} boards with an STM32F722 that public configurations name, "
+        f"{len(flown)} can be built for: `make firmware TARGET=NAME`. The code is the same for "
+        "all; a description of the board in its image differs. What stands here follows from the "
+        "configurations as of August 2026, and nobody has flown each of these boards: the first "
+        "of a kind is [brought up](../guides/board-bring-up.md), the turn of its gyro checked by "
+        "hand. A board that is missing or wired otherwise: [Other "
+        "boards](../guides/other-boards.md).",
+        f"No board's {COMMON} is used, nor a BMI270. A board that its maker turns by an angle of its "
+        "own does not arm before the pilot has set that (`board_yaw_deg` and its kin) and "
+        "`gyro_alignment`: it stands under *flies without*.",
+        "## Flown",
+        "UARTs: of the receiver, of MSP, of the second serial port.",
+        _table("board", "maker", "gyro chips told", "motors", "log", "UARTs", "flies without", *rows),
+        "## Not flown",
+        _table(
+            *("board", "maker", "gyro chips told", "why"),
+            *(
+                (
+                    *(f"`{verdict.board.name}`", verdict.board.maker),
+                    *(" ".join(verdict.board.gyro_kinds), _cell(verdict.fault)),
+                )
+                for verdict in verdicts
+                if verdict.allocation is None
+            ),
+        ),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _uarts(allocation: Allocation | None) -> str:
+    assert allocation is not None
+    lines = (allocation.receiver, allocation.msp, allocation.second)
+    return " ".join("-" if line is None else str(line) for line in lines)
+
+
 # --- Pages ------------------------------------------------------------------------------------------
 PAGES: dict[str, Callable[[], str]] = {
+    "boards": boards_page,
     "commands": commands_page,
     "settings": settings_page,
     "msp": msp_page,

@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from neuroflight.cli.main import parse
+from neuroflight.toolchain.boards.board_file import board_text
+from neuroflight.toolchain.boards.table import find_board
 
 ROOT = Path(__file__).resolve().parents[1]
 NF1, HEXA = "training/policies/nf1/policy.onnx", "training/policies/hexa/policy.onnx"
 PLAIN = (None, None, False)
 
 
-def calls(*words: str) -> list[list[str]]:
-    """The calls of the command that `make` would do."""
+def commands(*words: str) -> list[str]:
+    """The commands that `make` would call, as it writes them."""
     told = subprocess.run(
         ["make", "--dry-run", "--always-make", *words], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout.replace("\\\n", " ")
-    return [
-        [word.strip('"') for word in line.split("cli.main ", 1)[1].split()]
-        for line in told.splitlines()
-        if "-m neuroflight.cli.main " in line
-    ]
+    return [line for line in told.splitlines() if "-m neuroflight.cli.main " in line]
+
+
+def calls(*words: str) -> list[list[str]]:
+    """The calls of the command that `make` would do."""
+    return [[word.strip('"') for word in line.split("cli.main ", 1)[1].split()] for line in commands(*words)]
 
 
 @pytest.mark.parametrize(
@@ -55,6 +59,20 @@ def test_an_image_is_built_of_what_was_said(
             assert (args.policy and str(args.policy), args.aircraft, args.again) == (policy, aircraft, again)
         elif args.command == "fly":  # of the build's own aircraft, unless another is named
             assert args.aircraft == aircraft
+
+
+def test_what_is_flashed_and_emulated_is_what_is_built_for_a_board(tmp_path: Path) -> None:
+    file = tmp_path / "my board.toml"
+    file.write_text(board_text(replace(find_board("MATEKF722SE"), name="MINE")))
+    for target, name in (
+        ("MATEKF722", "MATEKF722"),
+        ("SPEEDYBEEF7MINI", "SPEEDYBEEF7MINI"),
+        (str(file), "MINE"),
+    ):
+        (built, flashed) = commands("flash", f"TARGET={target}", "PORT=x")
+        assert f'image build --target "{target}"' in built
+        assert f"board flash build/{name}/neuroflight.nfi" in flashed
+        assert f"--build build/{name} " in commands("emulate", f"TARGET={target}")[-1]
 
 
 def test_what_is_trained_is_what_is_built() -> None:

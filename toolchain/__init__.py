@@ -13,6 +13,7 @@
     policy/blob.py                table, self-test and header as the bytes that are compiled in or uploaded
     codegen/emit.py               plan and blob -> policy.c and policy.h, by rendering/templates
     image/build.py                generated sources and firmware -> image, by make; its report
+    boards/, image/stamp.py       a board's facts -> its description, written into the linked image
     verification/                 a policy on torch, onnxruntime, interpreter, host C, Cortex-M7: same actions
     cortex_m7/                    instructions, predicted cycles and stack of what was linked
 

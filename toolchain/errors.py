@@ -23,7 +23,7 @@ class BuildError(NeuroflightError):
     """A firmware build that cannot go on: unknown target, missing compiler, image too large."""
 
 
-class BoardError(NeuroflightError):
+class WiringError(NeuroflightError):
     """A board that the firmware cannot fly, or a description of one that cannot be read."""
 
 

@@ -155,9 +155,14 @@ def write_text(path: Path, text: str) -> None:
 
 def write_text_if_changed(path: Path, text: str) -> bool:
     """Write `text` unless the file equals it already, which keeps its date. Returns True if it wrote."""
-    if path.is_file() and path.read_bytes() == text.encode():
+    return write_bytes_if_changed(path, text.encode())
+
+
+def write_bytes_if_changed(path: Path, data: bytes) -> bool:
+    """Write `data` as `write_text_if_changed` does."""
+    if path.is_file() and path.read_bytes() == data:
         return False
-    write_text(path, text)
+    write_bytes(path, data)
     return True
 
 

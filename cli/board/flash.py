@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from neuroflight.cli.board.built import built_image
 from neuroflight.cli.board.checked import Unchecked, checked_image
 from neuroflight.cli.board.dfu import find_flash_port
 from neuroflight.cli.board.image_aircraft import image_aircraft
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from neuroflight.flash.image.plan import InstallPlan
     from neuroflight.flash.settings.text import Value
 
-IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.nfi"
 WORDS = {
     **{"erase": "erasing", "write": "writing", "check": "checking", "policy": "its policy"},
     "prove": "proving",
@@ -53,13 +53,13 @@ class Flash(OnPort):
         ),
     ]
     image: Annotated[
-        Path,
+        Path | None,
         Argument(
             "IMAGE",
-            "a build's neuroflight.nfi; or its .elf, .hex or .bin with the .nfi beside it; default: "
-            "build/MATEKF722/neuroflight.nfi",
+            "a build's neuroflight.nfi; or its .elf, .hex or .bin with the .nfi beside it; default: that of "
+            "the only board that was built for",
         ),
-    ] = IMAGE
+    ] = None
     dry_run: Annotated[bool, Option(None, "ask the board, print the plan, write nothing")] = False
     force: Annotated[bool, Option(None, "write it though the board runs this build")] = False
     keep_policy: Annotated[
@@ -81,6 +81,11 @@ class Flash(OnPort):
     ] = False
     yes: Annotated[bool, Option(None, "replace a firmware of another make without asking")] = False
     json: Json = False
+
+    @property
+    def source(self) -> Path:
+        """The image that is meant. Raises BuildError: none is named, and several are there."""
+        return self.image or built_image("neuroflight.nfi")
 
     def run(self) -> int:
         """Install the image. Returns 0, 130 or 143 when stopped by Ctrl-C or SIGTERM; raises NeuroflightError
@@ -106,7 +111,7 @@ class Flash(OnPort):
 
         because = "got it for a board without Neuroflight, which is written whole; leave it out"
         self.refuse("force", "keep_policy", "backup", "other_aircraft", "no_reboot", because=because)
-        image = self.image.with_suffix(".hex") if self.image.suffix == ".nfi" else self.image
+        image = self.source.with_suffix(".hex") if self.source.suffix == ".nfi" else self.source
         return Rescue(
             port=self.port,
             image=image,
@@ -152,7 +157,7 @@ def _flash(args: Flash, under_way: _UnderWay) -> int:
         from neuroflight.flash.link.client import Client
         from neuroflight.flash.link.transport import open_transport
 
-        file = read_images(args.image)
+        file = read_images(args.source)
         client = Client(open_transport(args.port))
     try:
         with _nothing_written():
@@ -184,7 +189,7 @@ def _checked(args: Flash, plan: InstallPlan) -> str:
     if plan.policy is None:
         return "no new policy is written"
     unchecked = args.unchecked or args.dry_run
-    return checked_image(args.image, plan.policy.sha256, unchecked=unchecked)
+    return checked_image(args.source, plan.policy.sha256, unchecked=unchecked)
 
 
 def _leave(args: Flash, facts: dict[str, object], plan: InstallPlan) -> int:

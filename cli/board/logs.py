@@ -48,12 +48,8 @@ def print_device(info: LogInfo) -> None:
 
     rows = [("device", DEVICES[info.device]), ("state", state_words(info))]
     if info.capacity_kib:
-        rows.append(
-            (
-                "room",
-                f"{info.empty} empty files, {info.free_kib // 1024:,} MB of {info.capacity_kib // 1024:,}",
-            )
-        )
+        room = f"{info.free_kib // 1024:,} MB of {info.capacity_kib // 1024:,}"
+        rows.append(("room", f"{room}, for {info.empty} logs at most"))
     if info.frames or info.bytes:
         lost = f"{info.dropped:,} control steps are missing" if info.lossy else "no step is missing"
         which = "this log" if info.logging else "last log"

@@ -30,12 +30,18 @@ class Erase(OnPort):
 
     def run(self) -> int:
         """Erase. Returns 0; raises NeuroflightError of one line where nothing was erased."""
-        from neuroflight.flash.logs.catalogue import erase
+        from neuroflight.flash.logs.catalogue import erase, read_entries, settled_info
         from neuroflight.flash.logs.copies import find_copy
+        from neuroflight.flash.logs.messages import ERRORS
+        from neuroflight.toolchain.contract import LogError
 
         with one_interrupt(), connect(self.port) as client:
-            _, logs = look(client)
-            if not logs:
+            info = settled_info(client, waiting())
+            foreign = info.error is LogError.FOREIGN
+            logs = [] if foreign else read_entries(client, info, waiting())
+            if foreign and not self.unfetched:
+                raise NeuroflightError(f"{client.name}: {ERRORS[info.error]}; nothing was erased")
+            if not logs and not foreign:
                 return Account(self.json).end({"erased": []}, f"{client.name}: no log is kept there")
             kept = [log for log in logs if log.bytes]
             if not self.unfetched:
@@ -47,7 +53,8 @@ class Erase(OnPort):
                         "`neuroflight board logs fetch --all` gets them, --copies DIR names another folder, "
                         "--unfetched erases them all the same; nothing was erased"
                     )
-            confirm(self.yes, f"erase {len(logs)} logs on {client.name}", "nothing was erased")
+            what = "what another firmware wrote" if foreign else f"{len(logs)} logs"
+            confirm(self.yes, f"erase {what} on {client.name}", "nothing was erased")
             erase(client, waiting())
             info, left = look(client)
         if left:
@@ -55,4 +62,4 @@ class Erase(OnPort):
                 f"{client.name}: {len(left)} logs are still there after erasing; erase again"
             )
         document = {"erased": [log.name for log in logs], "empty": info.empty}
-        return Account(self.json).end(document, f"{len(logs)} logs erased; {info.empty} empty files")
+        return Account(self.json).end(document, f"{len(logs)} logs erased; room for {info.empty}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from neuroflight.cli.board.built import built_image
 from neuroflight.cli.board.checked import Unchecked, checked_image
 from neuroflight.cli.board.dfu import find_rescue_port
 from neuroflight.cli.board.state import connect
@@ -23,12 +24,11 @@ from neuroflight.toolchain.contract import (
     FLASH_SECTORS,
     FLASH_SETTINGS,
 )
-from neuroflight.toolchain.errors import LinkError, PolicyError
+from neuroflight.toolchain.errors import BuildError, LinkError, PolicyError
 
 if TYPE_CHECKING:
     from neuroflight.flash.rom.rescue import FlashPlan, Progress, Rom
 
-IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.hex"
 BAUD_MIN, BAUD_MAX = 1200, 115_200  # AN3155: what the ROM measures
 WORDS = {"erase": "erasing", "write": "writing", "verify": "comparing"}
 RUNS = "start  the image runs; let BOOT go, and plug the board out and in once"
@@ -63,11 +63,12 @@ class Rescue(Request):
         ),
     ]
     image: Annotated[
-        Path,
+        Path | None,
         Argument(
-            "IMAGE", "a build's neuroflight.hex, .bin or .elf; default: build/MATEKF722/neuroflight.hex"
+            "IMAGE",
+            "a build's neuroflight.hex, .bin or .elf; default: that of the only board that was built for",
         ),
-    ] = IMAGE
+    ] = None
     dry_run: Annotated[bool, Option(None, "find the chip, print the plan, write nothing")] = False
     unchecked: Unchecked = False
     all: Annotated[bool, Option(None, "erase bank B as well: no other image is left to fall back to")] = False
@@ -85,27 +86,31 @@ class Rescue(Request):
         from neuroflight.flash.rom.segments import read_segments
 
         baud = _baud(self.port)
-        segments = read_segments(self.image)
+        try:
+            image = self.image or built_image("neuroflight.hex")
+        except BuildError as error:
+            raise BuildError(f"{error}; nothing was written") from None
+        segments = read_segments(image)
         try:
             facts = check_image(segments)
         except LinkError as error:
-            raise LinkError(f"{self.image}: {error}") from None
+            raise LinkError(f"{image}: {error}") from None
         unchecked = self.unchecked or self.dry_run or self.verify_only
         try:
-            check = checked_image(self.image, facts.policy.policy_sha256, unchecked=unchecked)
+            check = checked_image(image, facts.policy.policy_sha256, unchecked=unchecked)
         except PolicyError as error:
             raise PolicyError(f"{error}; nothing was written") from error
         plan = plan_flash(segments, erase_bank_b=self.all)
         told = Account(self.json)
-        port = self._enter(told)
+        port = self._enter(told, facts.board)
         before = board_ports()
         with open_dfu(port) if is_dfu(port) else RomClient(open_transport(port, "E")) as client:
             chip = client.connect()
             told.say(f"chip   {chip}, boot loader in its ROM, on {client.name}")
-            _tell(told, f"{self.image}, {facts}", plan, baud, check)
+            _tell(told, f"{image}, {facts}", plan, baud, check)
             document = {
                 "chip": chip.product_id,
-                "image": str(self.image),
+                "image": str(image),
                 "bytes": plan.bytes,
                 "check": check,
                 "erase": [_purpose(sector) for sector in plan.sectors],
@@ -131,11 +136,11 @@ class Rescue(Request):
         told.say(BACK.format(back) if back else RUNS if document["started"] else WAITS)
         return told.end(document, BROWN_OUT)
 
-    def _enter(self, told: Account) -> str:
+    def _enter(self, told: Account, board: str) -> str:
         """Return the port of the ROM, after asking the firmware that runs on the board to start it.
 
-        Raises LinkError for a firmware of another board, and unless the pilot wants one of another make
-        replaced.
+        board: that the image is for. Raises LinkError for a firmware of another one, and unless the pilot
+        wants one of another make replaced.
         """
         from neuroflight.flash.rom.dfu_board import check_board, into_dfu, read_running, runs_firmware
 
@@ -144,7 +149,7 @@ class Rescue(Request):
         client = connect(self.port)
         try:
             running = read_running(client)
-            check_board(client, running)
+            check_board(client, running, board)
             told.say(f"board  {running.text}, on {client.name}")
             if self.dry_run:
                 raise LinkError(

@@ -51,7 +51,8 @@ class Import(OnPort):
             settings = Settings(client)
             present = {stored.name: stored.value for stored in settings.read()}
             board = messages.board_info(client.request(Msp.BOARD_INFO)).target
-            plan = fitted(plan_import(diff, board, present, self.rate_profile), settings)
+            outputs = _outputs(diff.board)
+            plan = fitted(plan_import(diff, board, present, self.rate_profile, outputs), settings)
             changes = needed(plan, present)
             told = Account(self.json)
             document = _document(diff, plan) | changed(changes, stored=not self.dry_run)
@@ -68,6 +69,14 @@ class Import(OnPort):
             settings.change(changes, save=True)
         done = f"{_count(len(changes), 'setting')} changed, all stored; {when_flown(changes, saved=True)}"
         return told.end(document, f"{self.file}: {done}")
+
+
+def _outputs(name: str) -> list[str]:
+    """Return the pins of a known board's motor outputs, as C06; none of another's."""
+    from neuroflight.toolchain.boards.table import boards
+
+    board = boards().get(name)
+    return [] if board is None else [f"{pin.port}{pin.number:02}" for pin in board.motors]
 
 
 def _document(diff: Diff, plan: ImportPlan) -> dict[str, Any]:

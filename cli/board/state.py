@@ -340,7 +340,11 @@ class Reboot(OnPort):
     ] = False
     card: Annotated[
         bool,
-        Option(None, "show the SD card as a disk by USB instead, until it is ejected", either=INSTEAD),
+        Option(
+            None,
+            "show the SD card as a disk by USB instead, until it is ejected; a flash chip cannot be",
+            either=INSTEAD,
+        ),
     ] = False
     json: Json = False
 

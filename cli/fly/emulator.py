@@ -45,20 +45,19 @@ def open_image(
 ) -> EmulatedPort:
     """Return the image on a board of its own, to be closed by `ends`. log: of UART3, if any."""
     from neuroflight.sim.board.debug.fault_injection import parse_fault
-    from neuroflight.sim.board.devices.sd_card import SdCard
-    from neuroflight.sim.board.matekf722 import GYROS
+    from neuroflight.sim.board.matekf722 import fitted_gyro, image_wiring
     from neuroflight.sim.ports.emulator import EmulatedPort
+    from neuroflight.toolchain.image.elf import read_flashable
 
     faults = [parse_fault(text) for text in args.fault]
-    card = None if args.card is None else SdCard(args.card)
-    if card is not None:
-        ends.callback(card.close)
+    wiring = image_wiring(image, read_flashable(image))
     return EmulatedPort(
         image,
         args.gyro_hz,
         settings,
-        gyro=GYROS[args.gyro],
-        card=card,
+        wiring=wiring,
+        gyro=fitted_gyro(wiring, kind=args.gyro),
+        card=args.card,
         dshot=None if args.esc is None else ESCS[args.esc],
         faults=faults,
         profile=args.profile is not None,

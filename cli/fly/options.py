@@ -13,7 +13,7 @@ from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 
 SECTION = "with --on board, see docs/explanation/emulated-board.md"
 STOPPED = 3  # exit code of a flight with faults in which the firmware stopped the motors before the end
-ESCS = {"dshot300": 300, "dshot600": 600}
+ESCS = {"dshot150": 150, "dshot300": 300, "dshot600": 600}
 MOUNTS = ("centre", "rig", "free")
 CONTROLLERS = ("policy", "pid")
 COUNT, COUNTED = 10, ("flight", "pulses")  # commands, of these scenarios
@@ -26,13 +26,20 @@ class OnBoard(Request):
     """Options of the emulated board."""
 
     gyro: Annotated[
-        str, Option(None, f"the chip that is fitted; default {CHIPS[0]}", choices=CHIPS, section=SECTION)
-    ] = CHIPS[0]
+        str | None,
+        Option(
+            None,
+            "the chip that is fitted; default: one that boards of the image's name carry",
+            choices=CHIPS,
+            section=SECTION,
+        ),
+    ] = None
     card: Annotated[
         Path | None,
         Option(
             "IMG",
-            "an SD card is in the slot: this raw image, which is written to; default: none",
+            "what keeps logs: the raw image of an SD card, or the content of the board's flash chip, made if "
+            "there is none; it is written to; default: an empty slot",
             section=SECTION,
         ),
     ] = None
@@ -185,7 +192,7 @@ class FlyOptions(OnBoard, OfRecording):
         Option(
             "FILE.bbl",
             "keep the firmware's log of the flight, see docs/guides/logs.md; the emulated board sends it by "
-            "UART3, or, with --card, writes it to the card instead",
+            "UART3, or, with --card, writes it there instead",
             suffix=".bbl",
         ),
     ] = None

@@ -27,7 +27,18 @@ TOLD = Either()
 class Build(Request):
     """A request for a firmware image, or the host program."""
 
-    target: Annotated[str, Option("TARGET", "MATEKF722 (default) or HOST")] = "MATEKF722"
+    target: Annotated[
+        str,
+        Option(
+            "TARGET",
+            "a board of `neuroflight board target list`, a FILE.toml of `board target import`, or HOST; "
+            "default: MATEKF722",
+        ),
+    ] = "MATEKF722"
+    receiver: Annotated[
+        str | None,
+        Option("UARTn", "that a receiver is wired to, where it is not the board's usual one"),
+    ] = None
     policy: Annotated[
         Path | None,
         Option(
@@ -72,12 +83,15 @@ class Build(Request):
         from neuroflight.toolchain.image.report import print_report, summary
         from neuroflight.toolchain.policy.model import read_policy
 
-        target = find_target(self.target)
+        receiver = _uart(self.receiver)
+        target = find_target(self.target, receiver)
         check_folder(self.out or ROOT / "build", "--out")
         if self.out is None:
             check_folder(ROOT / "firmware" / "generated", "--out")
         last = _last((self.out or ROOT / "build") / target.name / target.products[0])
         asked = self._as_last(last) if self.again else self
+        if self.again and receiver is None and last is not None:
+            receiver = last.receiver
         path = asked._policy(last)
         if not path.exists():
             of = f" --aircraft {asked.aircraft}" if asked.aircraft else ""
@@ -89,7 +103,16 @@ class Build(Request):
         stands = beside(policy, str(path), asked.aircraft, other=asked.other_aircraft, no_pid=asked.no_pid)
         stamp = checked(path, policy, target, stands, unchecked=self.unchecked)
         try:
-            report = build(self.target, path, ROOT, self.out, stands.pid, _facts(stands), check=stamp)
+            report = build(
+                self.target,
+                path,
+                ROOT,
+                self.out,
+                stands.pid,
+                _facts(stands),
+                check=stamp,
+                receiver=receiver,
+            )
         except MakeError as error:
             print(error.output, file=sys.stderr)
             raise
@@ -140,6 +163,18 @@ class Build(Request):
             )
         here = Path.cwd()
         return path.relative_to(here) if path.is_relative_to(here) else path
+
+
+def _uart(word: str | None) -> int | None:
+    """Return the number of UART4, or of 4. Raises BuildError."""
+    from neuroflight.toolchain.errors import BuildError
+
+    if word is None:
+        return None
+    number = word.upper().removeprefix("USART").removeprefix("UART")
+    if number not in tuple("123456"):
+        raise BuildError(f"--receiver: got {word[:60]!r}, expected UART1 to UART6")
+    return int(number)
 
 
 def _last(product: Path) -> Built | None:

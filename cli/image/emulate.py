@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.image.emulated import (
-    GYROS,
     PORT_MAX,
     UARTS,
     Card,
@@ -109,7 +108,7 @@ class Emulate(Request):
             "keep settings, policies and fault log here between two runs; the image is always the one given",
         ),
     ] = None
-    gyro: Gyro = GYROS[0]
+    gyro: Gyro = None
     card: Card = None
     volts: Annotated[
         float,
@@ -136,8 +135,8 @@ class Emulate(Request):
         image = self.chip or self.image or (self.build or BUILD) / "neuroflight.bin"
 
         from neuroflight.sim.board.debug.gdb import GdbServer
-        from neuroflight.sim.board.devices.sd_card import SdCard
-        from neuroflight.sim.board.matekf722 import GYROS
+        from neuroflight.sim.board.devices.log_place import open_log_chip
+        from neuroflight.sim.board.matekf722 import MATEKF722, fitted_gyro, image_wiring
         from neuroflight.sim.board.peripherals.usart import Format
         from neuroflight.sim.board.serial.bridge import Bridge, UartLine
         from neuroflight.sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
@@ -157,14 +156,16 @@ class Emulate(Request):
             for name, serial in serials.items():
                 opened[name] = open_end(serial)
                 ends.callback(opened[name].close)
-            card = None if self.card is None else SdCard(self.card)
+            wiring = image_wiring(image, content) if flashed else MATEKF722  # of a chip as it was delivered
+            card = None if self.card is None else open_log_chip(wiring, self.card)
             if card is not None:
                 ends.callback(card.close)
             idle = IdleBoard(
                 content,
                 elf=elf if elf.is_file() and not self.chip else None,
+                wiring=wiring,
                 volts=self.volts,
-                gyro=GYROS[self.gyro],
+                gyro=fitted_gyro(wiring, kind=self.gyro),
                 card=card,
                 boot_button=self.boot0,
                 newly_installed=self.chip is not None,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.requests import Option
+from neuroflight.toolchain.contract import GYROS_NOT_FLOWN, GyroChip
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -16,13 +17,19 @@ if TYPE_CHECKING:
     from neuroflight.sim.board.serial.bridge import End
 
 PORT_MAX = 65535
-GYROS = ("icm20602", "mpu6500", "icm20689", "icm20601", "icm20608g", "mpu9250")  # of sim.board.matekf722
+GYROS = tuple(chip.name.lower() for chip in GyroChip if chip not in GYROS_NOT_FLOWN)
 UARTS = {"uart1": "USART1", "uart3": "USART3"}  # that speak MSP, as users and the chip call them
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-Gyro = Annotated[str, Option(None, f"the chip that is fitted; default {GYROS[0]}", choices=GYROS)]
+Gyro = Annotated[
+    str | None, Option(None, "the chip that is fitted; default: one that the board carries", choices=GYROS)
+]
 Card = Annotated[
     Path | None,
-    Option("IMG", "an SD card is in the slot: this raw image, which is written to; default: none"),
+    Option(
+        "IMG",
+        "what keeps logs: the raw image of an SD card, or the content of the board's flash chip, made if "
+        "there is none; it is written to; default: an empty slot",
+    ),
 ]
 
 

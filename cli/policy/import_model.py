@@ -234,11 +234,11 @@ def _model(observation: str, rate: int, aircraft: Aircraft) -> ModelConstants | 
 
     An unknown observation or rate is refused by `import_onnx`.
     """
-    from neuroflight.sim.control.estimator import model_constants
-    from neuroflight.toolchain.contract import needs_model, observation_blocks
+    from neuroflight.sim.control.estimator import observed_model
+    from neuroflight.toolchain.contract import observation_blocks
 
     try:
-        needed = rate > 0 and needs_model(observation_blocks(observation))
+        terms = observation_blocks(observation)
     except ValueError:
         return None
-    return model_constants(aircraft, rate) if needed else None
+    return observed_model(aircraft, terms, rate) if rate > 0 else None

@@ -74,6 +74,19 @@ static unsigned background_not_arming(const struct background *background, const
 	return asked && !fault ? alert_count(status->arming_reasons) : 0;
 }
 
+/* The first motor that is weak or whose ESC is silent; 0: there is none. On the ground silence counts only beside ESCs that tell:
+ * where nothing does, they have no power. */
+static unsigned background_bad_motor(const struct background *background, const struct firmware_status *status)
+{
+	const struct firmware *fw = background->config.firmware;
+	const uint32_t all = (1u << POLICY_ACTION_COUNT) - 1u;
+	const uint32_t silent = fw->rotors.on && (status->trace.armed || fw->rotors.silent != all) ? fw->rotors.silent :
+												     0u;
+	const uint32_t bad = silent | fw->weak_motor.weak;
+
+	return bad ? 1u + (unsigned)__builtin_ctz(bad) : 0u;
+}
+
 /* Returns the active alerts, one bit each. */
 static uint32_t background_alerts(const struct background *background, const struct firmware_status *status,
 				  uint32_t ms)
@@ -92,6 +105,7 @@ static uint32_t background_alerts(const struct background *background, const str
 	       (uint32_t)fault << ALERT_FAULT | (uint32_t)(status->state == NF_FLIGHT_CRASHED) << ALERT_CRASHED |
 	       (uint32_t)find_me << ALERT_FIND_ME | (uint32_t)lost << ALERT_RECEIVER_LOST |
 	       (uint32_t)(level == BATTERY_LOW) << ALERT_BATTERY_LOW |
+	       (uint32_t)(background_bad_motor(background, status) > 0) << ALERT_MOTOR |
 	       (uint32_t)(level == BATTERY_WARN) << ALERT_BATTERY_WARN |
 	       (uint32_t)(status->state == NF_FLIGHT_CALIBRATING) << ALERT_CALIBRATING |
 	       1u << (status->trace.armed ? ALERT_ARMED : ALERT_DISARMED);
@@ -113,6 +127,7 @@ static void background_run_alert(void *context)
 	const struct alert_counts counts = {
 		.fault = status.state == NF_FLIGHT_FAULT ? status.stop_cause : background->faults.record.kind,
 		.not_arming = background_not_arming(background, &status),
+		.motor = background_bad_motor(background, &status),
 	};
 	const struct alert_state state = alert_step(&background->alert, background_alerts(background, &status, ms),
 						    &counts, ms);
@@ -280,7 +295,7 @@ enum nf_err background_start(struct background *background, const struct backgro
 	background_judge_board(background);
 	image_probation_init(&background->probation, &background->config.board.hal->flash, config->board.bank);
 	background_judge_image(background);
-	battery_init(&background->battery, &background->settings);
+	battery_init(&background->battery, &background->settings, &background->config.board.identity);
 	alert_init(&background->alert, &background->settings);
 	gesture_init(&background->gesture);
 	background_init_blackbox(background);
@@ -323,6 +338,13 @@ void background_name(const struct background *background, char *text, size_t cap
 	*p.at = '\0';
 }
 
+static uint8_t background_gyro_chip(const struct hal_info *board)
+{
+	static const uint8_t identities[NF_GYRO_IDENTITIES_COUNT] = NF_GYRO_IDENTITIES;
+
+	return identities[board->gyro_chip] == board->gyro_identity ? (uint8_t)(board->gyro_chip + 1u) : 0u;
+}
+
 void background_status(const struct background *background, struct firmware_status *status)
 {
 	const struct battery *battery = &background->battery;
@@ -336,6 +358,7 @@ void background_status(const struct background *background, struct firmware_stat
 	status->cells = (uint8_t)battery->cells;
 	status->battery_level = (uint8_t)battery->level;
 	status->gyro_identity = background->config.board.gyro_identity;
+	status->gyro_chip = background_gyro_chip(&background->config.board);
 	status->brown_out = background->config.board.brown_out;
 }
 

@@ -28,36 +28,37 @@ struct background_config {
 	struct log_ring *log;             /* of control steps; NULL: they are not recorded */
 };
 
+/* What is used most comes first, where short instructions reach it. */
 struct background {
-	struct background_config config;
-	struct nf_settings settings; /* as flown: of this boot */
 	bool mended; /* some of what is stored is not flown */
-	struct nf_settings edited; /* as stored, with changes that may not be saved yet */
-	struct nf_settings tuned; /* of those flown at once: as edited when background_tune last took them */
-	struct policy_slots slots;
-	size_t weights_checked; /* those before this one, since the check last began at the first */
 	bool weights_bad; /* not what flash has */
 	bool weights_lost; /* flash has no good ones either */
-	struct image_update image;
-	struct fault_log faults;
-	struct image_probation probation;
+	bool flying, flown; /* armed when the load was looked at last; ever since boot */
+	bool heard; /* the receiver, since boot */
+	bool refused; /* a policy, when alerts were last looked at */
+	bool rebooting; /* was asked to, and is about to */
+	uint32_t refused_since_ms;
+	uint32_t overloaded; /* runs of the storage task until a load above 100 % is forgiven */
+	uint32_t controller_cycles; /* what a control step takes longer while armed, at most; 0: not measured */
+	size_t weights_checked; /* those before this one, since the check last began at the first */
+	unsigned sessions; /* of command lines that are open */
+	struct background_config config;
 	struct scheduler scheduler;
 	struct battery battery;
 	struct alert alert;
 	struct gesture gesture;
+	struct policy_slots slots;
+	struct image_update image;
+	struct fault_log faults;
+	struct image_probation probation;
+	struct services services;
+	struct nf_settings settings; /* as flown: of this boot */
+	struct nf_settings edited; /* as stored, with changes that may not be saved yet */
+	struct nf_settings tuned; /* of those flown at once: as edited when background_tune last took them */
 	struct blackbox blackbox;
 	struct log_snapshot snapshot; /* of the firmware, before a log */
-	struct firmware kept; /* its bytes */
-	uint32_t controller_cycles; /* what a control step takes longer while armed, at most; 0: not measured */
-	bool flying, flown; /* armed when the load was looked at last; ever since boot */
-	uint32_t overloaded; /* runs of the storage task until a load above 100 % is forgiven */
-	bool heard; /* the receiver, since boot */
-	bool refused; /* a policy, when alerts were last looked at */
-	uint32_t refused_since_ms;
-	bool rebooting; /* was asked to, and is about to */
-	struct services services;
-	unsigned sessions; /* of command lines that are open */
 	struct msp_port ports[NF_MSP_PORT_COUNT];
+	struct firmware kept; /* its bytes */
 };
 
 /* Boots: loads the settings, chooses the policy, starts the firmware, logs the boot. `config` and the data that it

@@ -192,6 +192,7 @@ void background_offer_services(struct background *background)
 		.image = &background->image,
 		.faults = &background->faults,
 		.blackbox = &background->blackbox,
+		.rotors = &config->firmware->rotors,
 		.tasks = config->stats,
 		.cycles_hz = config->board.cycles_hz,
 		.context = background,

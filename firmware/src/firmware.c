@@ -192,6 +192,11 @@ void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 	}
 }
 
+void firmware_rotors(struct firmware *fw, const uint16_t words[NF_MOTOR_COUNT_MAX])
+{
+	rotors_step(&fw->rotors, words, fw->outputs);
+}
+
 /* Takes the channels that the background has posted. */
 static void firmware_receive_posted(struct firmware *fw)
 {
@@ -258,6 +263,8 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 		.setpoint = trace->setpoint,
 		.rate = trace->gyro,
 		.throttle = trace->throttle,
+		.rotor_speed = fw->rotors.speed,
+		.rotors_silent = fw->rotors.silent,
 		.pid_wanted = fw->pid_wanted,
 		.standing = !airborne,
 		/* Light aircraft fly long before that is a take-off, and what turns one then must see what its motors do. */
@@ -266,6 +273,8 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 
 	if (!control_step(&fw->control, &input, output))
 		return SAFETY_NO_CONTROLLER;
+	if (airborne && fw->rotors.on)
+		weak_motor_step(&fw->weak_motor, fw->rotors.speed, fw->rotors.silent, output);
 	turning_step(&fw->turning, trace->gyro);
 	const struct crash_input crash = {
 		.setpoint = trace->setpoint,
@@ -372,6 +381,8 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 	if (fw->edges.flags & LOG_EDGE_WEIGHTS_BAD)
 		firmware_lose_weights(fw);
 	if (safety_motors(&fw->safety)) {
+		if (fw->rested)
+			weak_motor_reset(&fw->weak_motor); /* told until the next flight */
 		fw->rested = false;
 		const uint32_t found = firmware_fly(fw, output);
 		if (found)
@@ -427,6 +438,7 @@ bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 	float rate[3];
 
 	fw->health = gyro_step(&fw->gyro, sample, rate);
+	rpm_filter_step(&fw->rpm, &fw->rotors, rate);
 	filters_step(&fw->filters, rate);
 	gyro_mean_take(&fw->mean, rate);
 	if (firmware_control_due(fw)) {

@@ -20,10 +20,13 @@
 #include "safety/safety.h"
 #include "safety/takeoff.h"
 #include "safety/turning.h"
+#include "safety/weak_motor.h"
 #include "sensing/attitude.h"
 #include "sensing/filters.h"
 #include "sensing/gyro.h"
 #include "sensing/gyro_mean.h"
+#include "sensing/rotors.h"
+#include "sensing/rpm_filter.h"
 
 #define FIRMWARE_ANY_TILT (-2.0f) /* below every cosine */
 
@@ -49,8 +52,10 @@ struct firmware_edges {
 /* The same on every target, its pointers included (held.h): a log holds it. */
 struct firmware {
 	struct gyro gyro;
-	struct filters filters;
+	struct rpm_filter rpm;
+	struct filters filters;              /* behind them */
 	struct gyro_mean mean;               /* behind them */
+	struct rotors rotors;
 	struct attitude attitude;
 	struct receiver receiver;
 	struct rates rates;
@@ -59,6 +64,7 @@ struct firmware {
 	struct turning turning;
 	struct plausibility plausibility;
 	struct crash crash;
+	struct weak_motor weak_motor;
 	struct control control;
 	struct chirp chirp;
 	struct motor_test motor_test;        /* the background asks it for tests */
@@ -125,6 +131,9 @@ void firmware_lost(struct firmware *fw, uint32_t count);
 /* Receiver bytes, any number of any value; called once before each control step's sample, with count 0 when the line
  * was silent. */
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count);
+
+/* The words of the ESCs, by output, called before each control step's sample where the setting motor_telemetry is on. */
+void firmware_rotors(struct firmware *fw, const uint16_t words[NF_MOTOR_COUNT_MAX]);
 
 /* One gyro sample (chip axes). Writes the DShot value of each output; between control steps they are held. Returns
  * the telemetry bit of their frames. */

@@ -62,8 +62,10 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	gyro_board_init(&fw->gyro, settings->board_roll_deg, settings->board_pitch_deg, settings->board_yaw_deg);
 	if ((err = control_init(&fw->control, &control)) != NF_OK)
 		return err;
+	rpm_filter_init(&fw->rpm, settings, config->gyro_rate_hz);
 	filters_init(&fw->filters, settings, config->gyro_rate_hz);
 	gyro_mean_init(&fw->mean, filters_take_mean(settings) ? fw->control_divider : 0);
+	rotors_init(&fw->rotors, settings, POLICY_CONTROL_RATE_HZ);
 	attitude_init(&fw->attitude, POLICY_CONTROL_RATE_HZ);
 	receiver_init(&fw->receiver, settings, config->gyro_rate_hz);
 	rates_init(&fw->rates, settings);
@@ -72,6 +74,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	takeoff_init(&fw->takeoff, settings, POLICY_CONTROL_RATE_HZ);
 	turning_init(&fw->turning, POLICY_CONTROL_RATE_HZ);
 	plausibility_init(&fw->plausibility, POLICY_CONTROL_RATE_HZ);
+	weak_motor_init(&fw->weak_motor, POLICY_CONTROL_RATE_HZ);
 	crash_init(&fw->crash, settings, POLICY_CONTROL_RATE_HZ);
 	motor_test_init(&fw->motor_test, POLICY_CONTROL_RATE_HZ, POLICY_ACTION_COUNT);
 	firmware_outputs_init(fw, settings);

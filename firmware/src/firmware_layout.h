@@ -36,7 +36,9 @@
 	 LAYOUT_OF(65u, control.handover_left) + LAYOUT_OF(66u, status.trace) + LAYOUT_OF(67u, status.channels_us) +   \
 	 LAYOUT_OF(68u, mean) + LAYOUT_OF(69u, control.estimator) + LAYOUT_OF(70u, control.estimator.speed) +          \
 	 LAYOUT_OF(71u, control.motors) + LAYOUT_OF(72u, takeoff) + LAYOUT_OF(73u, gyro.rests) +                       \
-	 LAYOUT_OF(74u, control.pid.standing))
+	 LAYOUT_OF(74u, control.pid.standing) + LAYOUT_OF(75u, rotors) + LAYOUT_OF(76u, rotors.speed) +                \
+	 LAYOUT_OF(77u, control.sees_rotors) + LAYOUT_OF(78u, rpm) + LAYOUT_OF(79u, control.estimator.measures) +      \
+	 LAYOUT_OF(80u, weak_motor) + LAYOUT_OF(81u, control.dynamic_idle))
 
 /* Offsets of its pointers (held.h), 8 bytes each, which are valid only in the program that wrote them. */
 #define FIRMWARE_HELD                                                                                                 \

@@ -37,6 +37,9 @@ _Static_assert(RECORD(chirp) % 4u == 0 && sizeof(struct chirp_sweep) % 4u == 0, 
 _Static_assert(sizeof(struct firmware_edges) == EDGES &&
 		       offsetof(struct firmware_edges, flags) == RECORD(edge_flags) - RECORD(forbidden),
 	       "edges");
+_Static_assert(RECORD(rotors) % 4u == 0 &&
+		       (offsetof(struct firmware, rotors) + offsetof(struct rotors, words)) % 4u == 0,
+	       "whole words");
 #define MEASURED (RECORD(gyro) - RECORD(accel))
 #define LAST (offsetof(struct firmware, gyro) + offsetof(struct gyro, last) + offsetof(struct imu_sample, accel))
 _Static_assert(LAST % 4u == 0 && RECORD(temperature) - RECORD(accel) ==
@@ -58,6 +61,11 @@ void firmware_log(const struct firmware *fw, struct log_record *record)
 		words_copy(record->receiver_bytes, fw->posted_us, sizeof fw->posted_us);
 	}
 	record->sample = fw->samples - 1u;
+	if (fw->rotors.on) {
+		words_copy(record->rotors, fw->rotors.words, sizeof record->rotors);
+		record->silent_motors = fw->rotors.silent;
+		record->weak_motors = fw->weak_motor.weak;
+	}
 	words_copy((uint8_t *)record + RECORD(observation), fw->control.seen, ANSWER);
 	words_copy(record->accel, (const uint8_t *)fw + LAST, MEASURED);
 }

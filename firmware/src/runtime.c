@@ -33,6 +33,15 @@ static __attribute__((noinline)) void runtime_log_receiver(struct firmware *fw, 
 	fw->edges.flags |= LOG_EDGE_MORE_BYTES;
 }
 
+/* Without the setting no output is asked. */
+static __attribute__((noinline)) void runtime_rotors(const struct hal *hal, struct firmware *fw)
+{
+	_Alignas(4) uint16_t words[NF_MOTOR_COUNT_MAX];
+
+	hal->rotors_read(hal->context, words);
+	firmware_rotors(fw, words);
+}
+
 void runtime_sample(void *context, const struct imu_sample *sample)
 {
 	struct runtime *runtime = context;
@@ -50,6 +59,8 @@ void runtime_sample(void *context, const struct imu_sample *sample)
 		_Alignas(4) uint8_t bytes[HAL_RECEIVER_BYTES];
 		const size_t count = hal->receiver_read(hal->context, bytes, sizeof bytes);
 		firmware_receive(fw, bytes, count);
+		if (fw->rotors.on)
+			runtime_rotors(hal, fw);
 		if (record) {
 			record->receiver_count = (uint16_t)count;
 			if (count > 0)
@@ -57,7 +68,8 @@ void runtime_sample(void *context, const struct imu_sample *sample)
 		}
 	}
 	const bool telemetry = firmware_sample(fw, sample, dshot);
-	hal->motors_write(hal->context, dshot, POLICY_ACTION_COUNT, telemetry);
+	if (!hal->motors_write(hal->context, dshot, POLICY_ACTION_COUNT, telemetry) && telemetry)
+		dshot_command_unsent(&fw->dshot_command);
 	if (record) {
 		runtime_log_sample(record, sample, fw->gyro.same > 0);
 		if (control_step) {
@@ -89,7 +101,7 @@ void runtime_gyro_silent(void *context)
 	uint16_t dshot[POLICY_ACTION_COUNT];
 
 	firmware_gyro_silent(runtime->firmware, dshot);
-	runtime->hal->motors_write(runtime->hal->context, dshot, POLICY_ACTION_COUNT, false);
+	(void)runtime->hal->motors_write(runtime->hal->context, dshot, POLICY_ACTION_COUNT, false);
 }
 
 /* The watchdog is fed only while the core's time advances: samples arrive, or the gyro is known to be silent. */

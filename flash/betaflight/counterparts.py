@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from neuroflight.flash.settings.text import NO_TEXT, Value, check_text
+from neuroflight.toolchain.contract import Alignment
 from neuroflight.toolchain.errors import LinkError
 
 Changes = dict[str, Value]
@@ -101,13 +102,16 @@ def _degrees(axis: str) -> Convert:
     return convert
 
 
-_ALIGNMENTS = {"DEFAULT": 0.0, "CW0": 1.0, "CW90": 2.0, "CW180": 3.0, "CW270": 4.0}
+_ALIGNMENTS = {"DEFAULT": 0.0} | {a.name.replace("_", ""): 1.0 + a for a in Alignment}
 _PROCEDURES = {"DROP": 0.0, "AUTO-LAND": 1.0, "1": 0.0, "0": 1.0}
 _PROTOCOLS = {"DSHOT150": 2.0, "DSHOT300": 0.0, "DSHOT600": 1.0}
 _RECEIVERS = {"SBUS": 0.0, "CRSF": 1.0}
-_NO_FLIP = "no chip here is turned so; `board_roll_deg` turns the whole board"
+_NO_ANGLES = "chips here are turned by quarters; `board_yaw_deg` and its like turn the whole board"
 _CURRENT = Counterpart("current sensor", _scaled("current_scale", 0.1), of_board=True)
-_GYRO = Counterpart("gyro", _choice("gyro_alignment", _ALIGNMENTS, _NO_FLIP), of_board=True)
+_GYRO = Counterpart("gyro", _choice("gyro_alignment", _ALIGNMENTS, _NO_ANGLES), of_board=True)
+_GYRO_SELECT = Counterpart(
+    "gyro", _choice("gyro_select", {"FIRST": 0.0, "SECOND": 1.0}, "one gyro is flown here"), of_board=True
+)
 _CAPACITY = Counterpart("battery", _scaled("battery_capacity_mah"))
 
 SETTINGS: dict[str, Counterpart] = {
@@ -148,6 +152,7 @@ SETTINGS: dict[str, Counterpart] = {
     "align_board_pitch": Counterpart("board's turn", _degrees("pitch")),
     "align_board_yaw": Counterpart("board's turn", _degrees("yaw")),
     "gyro_1_sensor_align": _GYRO,
+    "gyro_to_use": _GYRO_SELECT,  # to 4.5
     "align_gyro": _GYRO,  # to 3.5
 }
 BEEPERS = {  # conditions that beep here too: firmware/src/msp/msp_sources.c

@@ -1,24 +1,21 @@
-"""The output that each motor of a Betaflight quadcopter is wired to, by the pins of the board's image."""
+"""The output that each motor of a Betaflight quadcopter is wired to, by the pins of the board's outputs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-# Pins of the outputs 1, 2, ... of the boards that images exist for: firmware/targets/BOARD/board.h.
-# Betaflight's own targets of these boards have their motors in the same order.
-OUTPUT_PINS = {"MATEKF722": ("C06", "C07", "C08", "C09", "B01", "A08")}
 MOTORS = (
     4  # of Betaflight's QUADX, whose order is this project's: rear right, front right, rear left, front left
 )
 NO_PIN = "NONE"
 
 
-def motor_outputs(board: str, pins: Mapping[int, str], order: Sequence[int]) -> list[int]:
+def motor_outputs(own: Sequence[str], pins: Mapping[int, str], order: Sequence[int]) -> list[int]:
     """Return the output of each motor. Raises ValueError, one line, unless they are the first four.
 
-    pins: from the `resource MOTOR` lines, by motor from 1. order: Betaflight's motor_output_reordering.
+    own: pins of the board's outputs 1, 2, ..., as C06. pins: from the `resource MOTOR` lines, by motor from
+    1. order: Betaflight's motor_output_reordering.
     """
-    own = OUTPUT_PINS[board]
     wired = [pins.get(motor, own[motor - 1]) for motor in range(1, MOTORS + 1)]
     if sorted(order[:MOTORS]) != list(range(MOTORS)):
         raise ValueError(f"motor_output_reordering names others than the first {MOTORS} motors")

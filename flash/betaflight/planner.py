@@ -6,7 +6,7 @@ flown profile leaves out take the default of the version that wrote the file.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from neuroflight.flash.betaflight.counterparts import (
     BEEPERS,
@@ -19,7 +19,7 @@ from neuroflight.flash.betaflight.counterparts import (
 )
 from neuroflight.flash.betaflight.diff_file import Diff, Line
 from neuroflight.flash.betaflight.mode_ranges import HIGH_US, PREARM, box_name, placed, read_aux, unpacked
-from neuroflight.flash.betaflight.motor_order import MOTORS, OUTPUT_PINS, motor_outputs, read_pin
+from neuroflight.flash.betaflight.motor_order import MOTORS, motor_outputs, read_pin
 from neuroflight.flash.betaflight.plan import Group, ImportPlan, Left
 from neuroflight.flash.betaflight.rate_profiles import RateProfiles
 from neuroflight.flash.settings.text import STYLE, Value, known_setting
@@ -46,24 +46,35 @@ DIVIDER_DEFAULT, MULTIPLIER_DEFAULT = 10, 1
 
 
 def plan_import(
-    diff: Diff, board: str, present: Mapping[str, Value], rate_profile: int | None = None
+    diff: Diff,
+    board: str,
+    present: Mapping[str, Value],
+    rate_profile: int | None = None,
+    outputs: Sequence[str] = (),
 ) -> ImportPlan:
     """Plan which settings `diff` changes in a firmware for `board` whose settings are `present`.
 
-    rate_profile: instead of the active one. Raises LinkError if the file has none of that number.
+    rate_profile: instead of the active one. outputs: pins of the motor outputs of the file's board, as C06;
+    () if it is not known. Raises LinkError if the file has none of that number.
     """
-    return _Planner(diff, board, present, rate_profile).plan()
+    return _Planner(diff, board, present, rate_profile, outputs).plan()
 
 
 class _Planner:
     """A planner that takes the lines one by one, then those that only make sense together."""
 
     def __init__(
-        self, diff: Diff, board: str, present: Mapping[str, Value], rate_profile: int | None
+        self,
+        diff: Diff,
+        board: str,
+        present: Mapping[str, Value],
+        rate_profile: int | None,
+        outputs: Sequence[str],
     ) -> None:
         self._diff = diff
         self._present = present
-        self._same_board = diff.board in OUTPUT_PINS and board in (diff.board, HOST)
+        self._outputs = outputs
+        self._same_board = bool(outputs) and board in (diff.board, HOST)
         self._groups: dict[str, Group] = {}
         self._left: list[Left] = []
         self._notes: list[str] = []
@@ -292,7 +303,7 @@ class _Planner:
             self._leave_all(lines, f"{self._other_board()}; `neuroflight board motors order`")
             return
         try:
-            outputs = motor_outputs(self._diff.board, self._pins, self._order)
+            outputs = motor_outputs(self._outputs, self._pins, self._order)
         except ValueError as error:
             self._leave_all(lines, str(error))
             return

@@ -9,7 +9,7 @@ from neuroflight.flash.board.info import is_ours
 from neuroflight.flash.link import messages, records
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.messages import Analog, Attitude, BatteryState
-from neuroflight.toolchain.contract import GyroIdentity, Msp
+from neuroflight.toolchain.contract import GYRO_IDENTITIES, GYROS_NOT_FLOWN, GyroChip, Msp
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,15 @@ def read_overview(client: Client) -> Overview:
 
 def _hints(safety: records.Safety) -> dict[str, str]:
     """Return how to lift each reason; an unknown gyro chip is not mended by a restart."""
-    if safety.gyro_identity in (None, records.NO_CHIP) or safety.gyro_known:
+    if safety.gyro in GYROS_NOT_FLOWN:
+        why = GYROS_NOT_FLOWN[safety.gyro]
+        return HINTS | {
+            "GYRO_BAD": f"the gyro is a {safety.gyro_chip}, which this firmware cannot fly: {why}"
+        }
+    if safety.gyro_identity in (None, records.NO_CHIP) or safety.gyro is not None:
         return HINTS
-    known = ", ".join(f"{chip.name} (0x{chip:02X})" for chip in GyroIdentity)
+    flown = (chip for chip in GyroChip if chip not in GYROS_NOT_FLOWN)
+    known = ", ".join(f"{chip.name} (0x{GYRO_IDENTITIES[chip]:02X})" for chip in flown)
     return HINTS | {"GYRO_BAD": f"the gyro is an {safety.gyro_chip}, this firmware knows {known}"}
 
 

@@ -256,6 +256,28 @@ def motor(payload: bytes) -> tuple[int, ...]:
     return Reader(Msp.MOTOR, payload).shorts()
 
 
+@dataclass(frozen=True)
+class EscReport:
+    """Answers of a motor's ESC over the motor wire; 0 what it does not tell."""
+
+    speed_rpm: int
+    errors: float  # part of its answers that were none or not valid, of the second before; 1: it is silent
+    temperature_c: int
+    volts: float
+    amps: float
+
+
+def motor_telemetry(payload: bytes) -> tuple[EscReport, ...]:
+    """Decode MOTOR_TELEMETRY: by motor."""
+    reader = Reader(Msp.MOTOR_TELEMETRY, payload)
+    (count,) = reader.fields("B")
+    rows = [reader.fields("IHBHHH") for _ in range(count)]
+    return tuple(
+        EscReport(rpm, errors / 10_000, temperature, centivolts / 100, centiamps / 100)
+        for rpm, errors, temperature, centivolts, centiamps, _drawn in rows
+    )
+
+
 def raw_imu(payload: bytes) -> RawImu:
     """Decode RAW_IMU."""
     counts = Reader(Msp.RAW_IMU, payload).fields("9h")
@@ -316,6 +338,7 @@ DECODERS: dict[Msp, Callable[[bytes], object]] = {
     Msp.UID: uid,
     Msp.RC: rc,
     Msp.MOTOR: motor,
+    Msp.MOTOR_TELEMETRY: motor_telemetry,
     Msp.RAW_IMU: raw_imu,
     Msp.ATTITUDE: attitude,
     Msp.ANALOG: analog,

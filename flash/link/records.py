@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from neuroflight.flash.link.layouts import read
 from neuroflight.flash.link.payload import one_of
 from neuroflight.toolchain.contract import (
     FAULT_REGISTERS,
+    GYRO_IDENTITIES,
     FallbackCause,
     FaultKind,
     FlightState,
+    GyroChip,
     GyroHealth,
-    GyroIdentity,
     Msp,
     StopCause,
     Task,
@@ -37,14 +40,10 @@ class Safety:
     temperature_deg_c: float  # of the gyro
     idle: float  # motor fraction at zero thrust, of the controller that flies
     refused_cause: FallbackCause  # why the policy must not fly until it is acknowledged; NONE: it may
-    gyro_identity: int | None  # WHO_AM_I of its chip; None: no chip was read, or the firmware tells none
+    gyro_identity: int | None  # what its chip says it is; None: no chip was read, or the firmware tells none
     brown_out_level: int | None  # of the supply's detector, 0: it is off; None: the firmware tells none
     airborne: bool | None  # it has taken off since it was armed; None: the firmware does not tell
-
-    @property
-    def gyro_known(self) -> bool:
-        """True if boards are flown with this chip."""
-        return self.gyro_identity in tuple(GyroIdentity)
+    gyro: GyroChip | None  # its chip; None: none that the firmware knows
 
     @property
     def gyro_chip(self) -> str:
@@ -53,9 +52,7 @@ class Safety:
             return ""
         if self.gyro_identity == NO_CHIP:
             return f"no chip answers (0x{NO_CHIP:02X})"
-        if not self.gyro_known:
-            return f"unknown chip (0x{self.gyro_identity:02X})"
-        return f"{GyroIdentity(self.gyro_identity).name} (0x{self.gyro_identity:02X})"
+        return f"{'unknown chip' if self.gyro is None else self.gyro.name} (0x{self.gyro_identity:02X})"
 
 
 @dataclass(frozen=True)
@@ -124,7 +121,19 @@ def safety(payload: bytes) -> Safety:
         gyro_identity=told.get("gyro_identity") or None,
         brown_out_level=later - 1 if later else None,
         airborne=bool(told["airborne"]) if "airborne" in told else None,
+        gyro=_gyro(told),
     )
+
+
+def _gyro(told: Mapping[str, Any]) -> GyroChip | None:
+    """Return the chip that SAFETY names; older firmware tells its identity alone, and knew six of them."""
+    if "gyro_chip" in told:
+        number = told["gyro_chip"] - 1
+    else:
+        older = GYRO_IDENTITIES[: GyroChip.MPU6000]
+        identity = told.get("gyro_identity")
+        number = older.index(identity) if identity in older else -1
+    return GyroChip(number) if 0 <= number < len(GyroChip) else None
 
 
 def tasks(payload: bytes) -> Tasks:

@@ -24,7 +24,7 @@ from neuroflight.toolchain.errors import LinkError
 PAUSE_S = 0.01  # between two polls of a slow operation
 STARTING_S = 10.0  # until a card is ready: a second by its specification
 ENTRY_S = 10.0  # for one entry: the device searches the log's end
-ERASE_S = 300.0  # for all: a card takes up to 250 ms for each piece that it erases
+ERASE_S = 1200.0  # for all: 250 ms for each piece of a card, up to 2 s for each 64 KB of a flash chip
 
 Reply = TypeVar("Reply")
 
@@ -73,7 +73,9 @@ def check_readable(client: Client, info: LogInfo) -> None:
             f"{client.name}: a log is being written, expected none; disarm, or end the mode BLACKBOX, first"
         )
     if info.state is LogState.STARTING:
-        raise LinkError(f"{client.name}: the device is still being looked at, expected it ready; try again")
+        raise LinkError(
+            f"{client.name}: the device is still being looked at, or erased, expected it ready; try again"
+        )
     if info.logs == 0 and info.error is not LogError.NONE:
         raise LinkError(f"{client.name}: no log can be read: {ERRORS[info.error]}")
 

@@ -21,11 +21,11 @@ from neuroflight.toolchain.contract import (
 DEVICES = {
     LogDevice.NONE: "none (blackbox_device=none)",
     LogDevice.SERIAL: "UART3",
-    LogDevice.CARD: "the SD card",
+    LogDevice.CARD: "the SD card, or the board's flash chip",
 }
 STATES = {
     LogState.ABSENT: "this board has none, or none that its settings name",
-    LogState.STARTING: "being looked at",
+    LogState.STARTING: "being looked at, or erased",
     LogState.READY: "ready for the next flight",
     LogState.LOGGING: "a log is being written",
     LogState.ENDING: "the end of a log is being written",
@@ -34,15 +34,19 @@ STATES = {
 }
 ERRORS = {
     LogError.NONE: "none",
-    LogError.NO_CARD: "no card answers: put one in, and start the board anew",
+    LogError.NO_CARD: "no card answers: put one in, and start the board anew; a flash chip that does not "
+    "is broken, or on other pins",
     LogError.CARD: "the card answers what no card should: try another one",
     LogError.FILE_SYSTEM: "the card holds no sound FAT32 file system: format it (`mkfs.vfat -F 32`), then "
     "`neuroflight log card`",
     LogError.NO_FILE: "the card holds no file for logs: `neuroflight log card` makes them",
     LogError.FRAGMENTED: "a file for logs does not lie in one piece: format the card, then "
     "`neuroflight log card`",
-    LogError.WRITE: "the card refused a write or took too long: the log ends there; try another card",
+    LogError.WRITE: "the card or chip refused a write or took too long: the log ends there; try another card",
     LogError.READ: "the card could not be read: try again, then another card",
+    LogError.CHIP: "the flash chip is of a kind that the firmware does not know",
+    LogError.FOREIGN: "the flash chip holds what another firmware wrote: fetch that with its tools, then "
+    "`neuroflight board logs erase --unfetched`",
 }
 
 

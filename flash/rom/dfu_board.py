@@ -17,7 +17,6 @@ from neuroflight.flash.board.restart import enter_rom
 from neuroflight.flash.link.client import Client, NoAnswerError
 from neuroflight.flash.link.transport import LineGoneError, SerialPort, parse_port
 from neuroflight.flash.rom.dfu_client import DfuClient
-from neuroflight.flash.rom.image_check import BOARD
 from neuroflight.flash.usb.devices import BOOT_LOADER, serial_devices
 from neuroflight.flash.usb.libusb import UsbControl, find_devices, name_of
 from neuroflight.toolchain.errors import LinkError
@@ -66,7 +65,7 @@ class Running:
 
     ours: bool
     text: str  # its name, version and board
-    board: str  # what it says the board is
+    boards: tuple[str, ...]  # what it calls the board
 
 
 def runs_firmware(port: str) -> bool:
@@ -81,20 +80,21 @@ def runs_firmware(port: str) -> bool:
 def read_running(client: Client) -> Running:
     """Ask the firmware on the line who it is. Raises LinkError."""
     info = read_info(client)
-    names = [name for name in (info.board.name, info.board.target, info.board.identifier) if name]
+    names = tuple(name for name in (info.board.name, info.board.target, info.board.identifier) if name)
     if info.armed:
         raise LinkError(f"{client.name}: the motors are armed, expected a disarmed board; disarm first")
     make = "Neuroflight" if info.policy is not None else _MAKES.get(info.variant, info.variant)
-    board = next((name for name in names if name == BOARD), names[0] if names else "a board without a name")
-    return Running(info.policy is not None, f"{make} {info.version} on {board}", board)
+    board = names[0] if names else "a board without a name"
+    return Running(info.policy is not None, f"{make} {info.version} on {board}", names)
 
 
-def check_board(client: Client, running: Running) -> None:
-    """Raise LinkError for a firmware that says it is on another board than ours are for."""
-    if running.board != BOARD:
+def check_board(client: Client, running: Running, board: str) -> None:
+    """Raise LinkError for a firmware that says it is on another board than the image's."""
+    if board not in running.boards:
         raise LinkError(
-            f"{client.name}: {running.text}, expected a {BOARD}; nothing was written; if it is one, plug it "
-            f"in with BOOT held"
+            f"{client.name}: {running.text}, and the image is for a {board}; nothing was written; build one "
+            f"with `make firmware TARGET={running.boards[0] if running.boards else 'BOARD'}`, or if it is a "
+            f"{board}, plug it in with BOOT held"
         )
 
 

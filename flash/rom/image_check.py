@@ -1,4 +1,4 @@
-"""A check that an image would start on this board and fly: vectors, header, checksum, policy."""
+"""A check that an image would start on its board and fly: vectors, header, checksum, policy."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from neuroflight.toolchain.contract import (
 )
 from neuroflight.toolchain.errors import LinkError
 
-BOARD = "MATEKF722"
 FLASH_ALIAS = 0x00200000  # the same flash as the core fetches it
 _RAM_BYTES = 256 * 1024  # from DTCM on, without a gap
 _WORD = 4
@@ -82,13 +81,13 @@ def _check_bank(number: int, content: bytes, slot: bytes) -> ImageFacts:
     header = image_header(content)
     if header is None:
         _refuse(number, "has no header of Neuroflight; stm32flash and dfu-util write other firmware")
-    if header.board != BOARD:
-        _refuse(number, f"is for the board {header.board!r}, expected {BOARD!r}")
     if (header.layout, header.bank) != (IMAGE_LAYOUT, number):
         _refuse(
             number,
             f"has layout {header.layout} and bank {header.bank}, expected {IMAGE_LAYOUT} and {number}",
         )
+    if not header.board:
+        _refuse(number, "names no board, expected the target that it was built for")
     if not IMAGE_HEADER_OFFSET < header.image_bytes <= len(content):
         _refuse(number, f"has {len(content)} bytes, expected the {header.image_bytes} that its header says")
     found = image_checksum(content[: header.image_bytes])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from neuroflight.sim.arrays import Array
-from neuroflight.sim.strict_toml import StrictTable
+from neuroflight.toolchain.strict_toml import StrictTable
 
 Terms = tuple[float, float]  # a1, a2 of 1 + a1 J + a2 J^2
 RATIO_LAST = 3.0  # J beyond which no propeller of the UIUC Propeller Data Site was measured

@@ -16,9 +16,9 @@ import numpy as np
 from neuroflight.sim.aircraft import mesh
 from neuroflight.sim.aircraft.mass import MeshPose, Part, Tensor, Vector, principal
 from neuroflight.sim.aircraft.mesh import Solid
-from neuroflight.sim.strict_toml import StrictTable
 from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
 from neuroflight.toolchain.files import file_size
+from neuroflight.toolchain.strict_toml import StrictTable
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 PARTS_MAX = 1000

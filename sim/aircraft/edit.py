@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from neuroflight.sim.aircraft.model import FILE_BYTES_MAX, parse_aircraft
-from neuroflight.sim.strict_toml import parse_toml
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.files import read_limited, write_bytes
+from neuroflight.toolchain.strict_toml import parse_toml
 
 Value = str | float | tuple[float, ...]
 # Table ("gyro", "propulsion.response"), key, value; None: the key goes.

@@ -21,10 +21,10 @@ from neuroflight.sim.aircraft.digest import EARLIER, file_sha256, flown_sha256
 from neuroflight.sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
 from neuroflight.sim.aircraft.props_out import SUFFIX, props_out
 from neuroflight.sim.arrays import Array
-from neuroflight.sim.strict_toml import StrictTable, parse_toml
 from neuroflight.toolchain.contract import AXES, GRAVITY, POLICY_FILTER_MEAN, Mix
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.files import read_limited
+from neuroflight.toolchain.strict_toml import StrictTable, parse_toml
 
 FOLDER = Path(__file__).parent
 FILE_BYTES_MAX = 256 << 10

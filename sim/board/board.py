@@ -1,4 +1,7 @@
-"""The emulated MATEKF722 put together: the chip's peripherals, the gyro chip, the ESCs and the battery."""
+"""An emulated board with an STM32F722 put together: the processor's peripherals, gyro chip, ESCs and battery.
+
+It is wired by the facts of the board (`toolchain.boards.facts.Board`), never by what an image says of it.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +17,22 @@ from numpy.typing import NDArray
 from neuroflight.sim.board.core.context import TIME_HZ, Kept
 from neuroflight.sim.board.core.engine import CPI, Engine, Note
 from neuroflight.sim.board.devices.esc import SILENT_S, Esc, Frame
-from neuroflight.sim.board.devices.gyro_chip import ICM20602, READY, GyroChip, GyroKind
-from neuroflight.sim.board.devices.sd_card import CardSlot, SdCard
+from neuroflight.sim.board.devices.gyro_chip import GyroChip, GyroKind
+from neuroflight.sim.board.devices.gyro_mpu import ICM20602
+from neuroflight.sim.board.devices.log_place import LogChip, LogPlace
 from neuroflight.sim.board.inspection import Inspection
-from neuroflight.sim.board.matekf722 import MOTORS
+from neuroflight.sim.board.matekf722 import MATEKF722
 from neuroflight.sim.board.native.library import Native, NativeDevice, native_library
 from neuroflight.sim.board.peripherals.adc import Adc, AdcCommon
 from neuroflight.sim.board.peripherals.dma import DmaSystem
 from neuroflight.sim.board.peripherals.flash import Flash
-from neuroflight.sim.board.peripherals.gpio import Pins
+from neuroflight.sim.board.peripherals.gpio import Pins, place
 from neuroflight.sim.board.peripherals.iwdg import Iwdg
 from neuroflight.sim.board.peripherals.option_bytes import OptionBytes, signature
 from neuroflight.sim.board.peripherals.pwr import Pwr
 from neuroflight.sim.board.peripherals.rcc import MICROSECOND, Clocks, Rcc
-from neuroflight.sim.board.peripherals.spi import GyroSpi, Spi
+from neuroflight.sim.board.peripherals.signals import FUNCTIONS, board_signals, uart_name
+from neuroflight.sim.board.peripherals.spi import SPIS, GyroSpi, Spi
 from neuroflight.sim.board.peripherals.timer import TIMERS, Timer
 from neuroflight.sim.board.peripherals.usart import Usart
 from neuroflight.sim.board.registers.bus import Device, Registers, Touch, load_table
@@ -35,15 +40,21 @@ from neuroflight.sim.board.rom.boot_loader import BootLoader
 from neuroflight.sim.board.usb.cable import Connector
 from neuroflight.sim.board.usb.host import Host
 from neuroflight.sim.board.usb.otg import POLLED, Otg
+from neuroflight.toolchain.boards import facts
 from neuroflight.toolchain.contract import DSHOT_MIN
 from neuroflight.toolchain.image.bank_state import proven
 
 # In C's order; lines share some of them (RM0431, vector table).
 EXTI_INTERRUPTS = (*(f"EXTI{i}" for i in range(5)), "EXTI9_5", "EXTI15_10", "PVD")
-USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
+USARTS = tuple(uart_name(number) for number in range(1, 7))
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
 SILENT = round(SILENT_S * TIME_HZ)  # of an ESC [cycles]
 UNFLOWN = TIME_HZ // 10  # a motor whose ESC gets no frame for this time counts as not flown [cycles]
+
+
+def exti_interrupt(line: int) -> str:
+    """Return the name of the interrupt of EXTI line 0 to 15."""
+    return EXTI_INTERRUPTS[line] if line < 5 else EXTI_INTERRUPTS[5 if line < 10 else 6]
 
 
 class Hardware:
@@ -53,52 +64,63 @@ class Hardware:
         self,
         engine: Engine,
         chip: GyroKind = ICM20602,
+        board: facts.Board = MATEKF722,
         *,
+        gyro_place: int = 0,
         options: OptionBytes | None = None,
-        card: SdCard | None = None,
+        card: LogChip | None = None,
         seed: int = 0,
         watchdog_resets: bool = False,
     ) -> None:
-        """card: in its slot.
+        """board: what is wired to what. chip: in its gyro place number `gyro_place`; others are empty.
+
+        card: the SD card or flash chip that is fitted.
 
         watchdog_resets: a missed watchdog resets the chip, as on the board; otherwise it is an error.
         """
-        self.engine = engine
+        self.engine, self.board = engine, board
         self.native = native = Native(engine)
         self.rcc, self.pwr = Rcc(engine), Pwr(engine)
         self.flash = Flash(engine, options, seed)
-        self.pins = Pins(native)
+        self.pins = Pins(native, board_signals(board))
         lib, interrupt = native.library, load_table().interrupt
         self.syscfg = NativeDevice(native, "SYSCFG", lib.SYSCFG)
         self.exti = NativeDevice(native, "EXTI", lib.EXTI, interrupts=tuple(map(interrupt, EXTI_INTERRUPTS)))
         self.dma = DmaSystem(native)
-        self.gyro = GyroChip(native, self.pins, chip)
-        self.spi = GyroSpi(native, self.pins, seed)
-        self.card_spi = Spi(native, "SPI3", self.pins)
-        self.card_slot = CardSlot(native, self.pins, card)
+        where = board.gyros[gyro_place]
+        self.gyro = GyroChip(native, self.pins, where, chip)
+        self.spi = GyroSpi(native, SPIS[where.spi - 1], self.pins, seed)
+        self.spis = {
+            name: self.spi if name == self.spi.name else Spi(native, name, self.pins) for name in SPIS
+        }
+        self.log_place = LogPlace(native, self.pins, board, card)
+        self._leave_empty(gyro_place)
         self.timers = {name: Timer(native, name, self.dma, self.pins) for name in TIMERS}
         self.usarts = {
             name: Usart(engine, name, self.dma, self.pins, self.rcc.kernel_clock) for name in USARTS
         }
         self.adc_common = AdcCommon(engine)
-        self.adc = Adc(engine, self.adc_common, self.dma, self.pins)
+        self.adc = Adc(engine, self.adc_common, self.dma, self.pins, board)
         self.iwdg = Iwdg(native)
-        self.otg = Otg(engine, self.pins, self.rcc)
+        self.otg = Otg(engine, self.pins, self.rcc, board.usb_supply)
         self.usb = Connector(self.otg)
         self.usb_host = Host(engine, self.usb)
         self.rom = BootLoader(engine, self.rcc, self.flash, self.usarts["USART1"], self.iwdg)
         self.usb.devices.append(self.rom.dfu)
-        self.inspection = Inspection(engine, self.dma, self.exti, int(READY[2:]))
-        self.escs = tuple(self._wire_esc(motor, *line) for motor, line in enumerate(MOTORS))
+        self.escs = tuple(Esc(native, motor, pin, engine.fail) for motor, pin in enumerate(board.motors))
+        native.on_train = lambda motor, edges, rest: self.escs[motor].take(edges, rest)
+        self._wire_timers()
+        self.gyro_line = line = None if where.ready is None else where.ready.number  # of EXTI
+        self.inspection = Inspection(engine, self.dma, self.exti, line, self.escs)
         self._heard: Any = None  # uint16_t[]: what `_obeyed` was made of
         self._obeyed: NDArray[np.uint16] = np.empty(0, np.uint16)
         self.registers = Registers(engine)
         for device in self._devices():
             self.registers.add(device)
-        companions: tuple[Kept, ...] = (self.gyro, self.inspection, *self.escs, native)
+        companions: tuple[Kept, ...] = (self.gyro, self.inspection, native)
         for companion in companions:
             self.registers.accompany(self.spi, companion)
-        self.registers.accompany(self.card_spi, self.card_slot)
+        self.registers.accompany(self.spi, self.log_place)
         for part in (self.rom, self.rom.programmer, self.rom.dfu, self.rom.dfu.pipe):
             self.registers.accompany(self.usarts["USART1"], part)
         for companion in (self.otg, self.usb, self.usb_host):
@@ -106,9 +128,9 @@ class Hardware:
         self.registers.attach(engine)
         for name, polled in POLLED.items():
             self.registers.keep_answers(self.registers.devices[name], *polled)
-        edge = f"EXTI{int(READY[2:])}"
-        name = f"the gyro's data-ready edge ({edge})"
-        engine.bound_entry(interrupt(edge), ENTRY_BOUND, name, urgent=True)
+        if line is not None:
+            name = f"the gyro's data-ready edge (EXTI{line})"
+            engine.bound_entry(interrupt(exti_interrupt(line)), ENTRY_BOUND, name, urgent=True)
         native.place(self.registers)
         self.iwdg.place(engine.windows[self.registers.window_name(self.iwdg)])
         self._wire(watchdog_resets)
@@ -128,8 +150,7 @@ class Hardware:
             self.syscfg,
             self.exti,
             *self.dma.controllers.values(),
-            self.spi,
-            self.card_spi,
+            *self.spis.values(),
             *self.timers.values(),
             *self.usarts.values(),
             self.adc_common,
@@ -180,11 +201,25 @@ class Hardware:
             self._obeyed = np.frombuffer(bytes(self.native.ffi.buffer(self._heard)), np.uint16)
         return self._obeyed
 
-    def _wire_esc(self, motor: int, timer: str, channel: int) -> Esc:
-        place = TIMERS.index(timer)
-        esc = Esc(self.native.library.native_esc(self.native.handle, motor, place, channel), self.engine.fail)
-        self.timers[timer].outputs[channel] = esc.pulses
-        return esc
+    def _wire_timers(self) -> None:
+        """Let timers' channels drive the motors' pins that have them as alternate functions."""
+        for name, places in FUNCTIONS.items():
+            timer, _, channel = name.partition("_CH")
+            for motor, pin in enumerate(self.board.motors):
+                if timer in TIMERS and str(pin) in places:
+                    lib, handle = self.native.library, self.native.handle
+                    lib.native_esc_timer(handle, motor, TIMERS.index(timer), int(channel))
+
+    def _leave_empty(self, gyro_place: int) -> None:
+        """Watch the selects of chips that are not fitted, and of the OSD."""
+        absent: list[facts.Chip | facts.GyroPlace] = [
+            place for i, place in enumerate(self.board.gyros) if i != gyro_place
+        ]
+        absent += [chip for chip in (self.board.osd,) if chip is not None]
+        for chip in absent:
+            self.pins.drive(str(chip.select), True)
+            lib = self.native.library
+            lib.native_chip(self.native.handle, lib.CHIP_ABSENT, chip.spi - 1, *place(chip.select))
 
     def _set_clock(self, clocks: Clocks) -> None:
         self.native.library.native_clocks(
@@ -194,7 +229,7 @@ class Hardware:
     def _on_reset(self, cause: str) -> None:
         if cause == "power":
             self.gyro.power_on()
-            self.card_slot.power_on()
+            self.log_place.power_on()
         self.inspection.restart()
         for esc in self.escs:
             esc.silence(cause == "power")
@@ -237,19 +272,21 @@ class Report:
 
 
 class Board:
-    """A MATEKF722 with an image in its flash, powered and about to execute its first instruction."""
+    """A board with an image in its flash, powered and about to execute its first instruction."""
 
     def __init__(
         self,
         image: bytes,
         *,
         elf: Path | None = None,
+        board: facts.Board = MATEKF722,
         chip: GyroKind = ICM20602,
+        gyro_place: int = 0,
         cpi: Fraction = CPI,
         strict: bool = True,
         profile: bool = False,
         options: OptionBytes | None = None,
-        card: SdCard | None = None,
+        card: LogChip | None = None,
         seed: int = 0,
         watchdog_resets: bool = False,
         dshot: int | None = None,
@@ -258,11 +295,12 @@ class Board:
     ) -> None:
         """image: content of flash, from 0x08000000 on. elf: for names and lines only.
 
+        board, chip, gyro_place: see Hardware.
         strict: a fault of the core is an error of the image instead of a case for its handler.
         watchdog_resets: a missed watchdog resets the chip, as on the board, instead of being an error.
-        card: in its slot, which is empty by default; `close` closes it.
+        card: the SD card or flash chip that is fitted; none by default; `close` closes it.
         boot_button: held at power-up, so that the boot loader in the ROM runs instead of the image.
-        dshot: the speed that the ESCs are set to, 300 or 600; None: that of the first frame.
+        dshot: the speed that the ESCs are set to, 150, 300 or 600; None: that of the first frame.
         newly_installed: the image has never run, so that it is on trial; otherwise it has run well before.
         Raises BuildError if the engine cannot be built or `elf` is no ELF of an image.
         """
@@ -271,7 +309,14 @@ class Board:
             flash, elf=elf, cpi=cpi, strict=strict, profile=profile, library=native_library()
         )
         self.hardware = Hardware(
-            self.engine, chip, options=options, card=card, seed=seed, watchdog_resets=watchdog_resets
+            self.engine,
+            chip,
+            board,
+            gyro_place=gyro_place,
+            options=options,
+            card=card,
+            seed=seed,
+            watchdog_resets=watchdog_resets,
         )
         for esc in self.hardware.escs:
             esc.fitted = dshot
@@ -300,9 +345,9 @@ class Board:
         self.engine.power_cycle()
 
     def brown_out(self) -> None:
-        """Let the supply dip: the processor resets with the next instruction, gyro chip and card at once."""
+        """Let the supply dip: the processor resets with the next instruction, other chips at once."""
         self.hardware.gyro.power_on()
-        self.hardware.card_slot.power_on()
+        self.hardware.log_place.power_on()
         self.engine.system_reset("brown-out")
 
     def run_to(self, cycle: int) -> None:
@@ -329,5 +374,5 @@ class Board:
         )
 
     def close(self) -> None:
-        self.hardware.card_slot.close()
+        self.hardware.log_place.close()
         self.engine.close()

@@ -7,8 +7,11 @@ something meanwhile.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from neuroflight.sim.board.core.context import TIME_HZ, Kept
 from neuroflight.sim.board.core.engine import Engine
+from neuroflight.sim.board.devices.esc import Esc
 from neuroflight.sim.board.native.library import NativeDevice
 from neuroflight.sim.board.peripherals.dma import STREAMS, DmaSystem
 from neuroflight.sim.board.peripherals.rcc import MICROSECOND
@@ -22,13 +25,15 @@ Stream = tuple[int, int, int]  # controller, stream, items left
 
 
 class Inspection(Kept):
-    """A check for streams that wait in vain, and for the gyro's pulse taken by its wrong edge."""
+    """A check for streams that wait in vain, broken-off frames, the gyro's pulse taken by a wrong edge."""
 
     kept = ("_waiting", "_again")
 
-    def __init__(self, engine: Engine, dma: DmaSystem, exti: NativeDevice, line: int) -> None:
-        """line: of EXTI, which the data-ready line is connected to."""
-        self._engine, self._dma, self._exti, self._line = engine, dma, exti, line
+    def __init__(
+        self, engine: Engine, dma: DmaSystem, exti: NativeDevice, line: int | None, escs: Sequence[Esc]
+    ) -> None:
+        """line: of EXTI, which the gyro's data-ready line is connected to; None: it is not."""
+        self._engine, self._dma, self._exti, self._line, self._escs = engine, dma, exti, line, escs
         fields = load_table().blocks["DMA1"].registers["S0CR"].fields  # those of every stream are alike
         self._enabled, self._direction = fields["EN"].mask, fields["DIR"].mask
         self._alarm = engine.alarm("inspection", self._inspect)
@@ -45,6 +50,8 @@ class Inspection(Kept):
 
     def _inspect(self) -> None:
         self._validate_edge()
+        for esc in self._escs:
+            esc.inspect(self._engine.cycle)
         waiting = frozenset(self._to_peripherals())
         still = self._waiting & waiting
         if still and self._again < len(AGAIN):
@@ -79,6 +86,8 @@ class Inspection(Kept):
 
     def _validate_edge(self) -> None:
         """Fail if only the end of the gyro's pulse is used: it begins with the sample and is 50 us long."""
+        if self._line is None:
+            return
         bit = 1 << self._line
         words = self._exti.words
         if words["IMR"] & words["FTSR"] & bit and not words["RTSR"] & bit:

@@ -1,20 +1,34 @@
-"""Facts of the MATEKF722: gyro chips and how they are turned, motors' lines, and the pack that feeds it."""
+"""Parts that are fitted to a board: gyro chip and how it is turned, pack; its wiring by name."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
-from neuroflight.sim.board.devices.gyro_chip import (
+from neuroflight.sim.board.devices.gyro_chip import GyroKind
+from neuroflight.sim.board.devices.gyro_icm import ICM42605, ICM42688P
+from neuroflight.sim.board.devices.gyro_lsm import LSM6DSK320X, LSM6DSV16X
+from neuroflight.sim.board.devices.gyro_mpu import (
     ICM20601,
     ICM20602,
     ICM20608G,
     ICM20689,
+    MPU6000,
     MPU6500,
     MPU9250,
-    GyroKind,
 )
-from neuroflight.sim.board.devices.gyro_mount import Alignment
-from neuroflight.toolchain.contract import SIM_BATTERY_MV, SIM_GYRO_ALIGNMENT
+from neuroflight.toolchain.boards import facts
+from neuroflight.toolchain.boards.board_file import board_beside
+from neuroflight.toolchain.boards.table import find_board
+from neuroflight.toolchain.contract import (
+    FLASH_BANKS,
+    FLASH_BASE,
+    SIM_BATTERY_MV,
+    SIM_GYRO_ALIGNMENT,
+    Alignment,
+    image_header,
+)
+from neuroflight.toolchain.errors import LinkError, WiringError
 
 
 @dataclass(frozen=True)
@@ -34,14 +48,40 @@ GYROS = {
     "icm20601": Gyro(ICM20601, _CW180),
     "icm20608g": Gyro(ICM20608G, _CW180),
     "mpu9250": Gyro(MPU9250, _CW180),
+    "mpu6000": Gyro(MPU6000, _CW180),
+    "icm42688p": Gyro(ICM42688P, _CW180),
+    "icm42605": Gyro(ICM42605, _CW180),
+    "lsm6dsv16x": Gyro(LSM6DSV16X, _CW180),
+    "lsm6dsk320x": Gyro(LSM6DSK320X, _CW180),
 }
 GYRO = GYROS["icm20602"]
 FULL_VOLTS = SIM_BATTERY_MV / 1000  # four cells, full, at rest
-# Timer and channel behind each motor's line, motors 1 to 8 (the eighth's pin is USART2's transmitter too).
-MOTORS = (
-    *(("TIM8", channel) for channel in range(1, 5)),
-    ("TIM3", 4),
-    ("TIM1", 1),
-    ("TIM4", 3),
-    ("TIM5", 3),
-)
+MATEKF722 = find_board("MATEKF722")
+
+
+def fitted_gyro(board: facts.Board, place: int = 0, kind: str | None = None) -> Gyro:
+    """Return a gyro that boards of this name carry, or one of that kind, turned as the board's.
+
+    Raises LinkError: none is modelled.
+    """
+    if board.name == MATEKF722.name:
+        return GYRO if kind is None else GYROS[kind]  # of each it is known how it is turned, or disputed
+    for one in board.gyro_kinds if kind is None else (kind,):
+        if (known := GYROS.get(one.lower())) is not None:
+            return Gyro(known.chip, Alignment(board.gyros[place].alignment))
+    kinds = ", ".join(board.gyro_kinds) or "none that is told"
+    raise LinkError(f"{board.name}: the emulated board has none of its gyros: {kinds}; name one (--gyro)")
+
+
+def image_wiring(path: Path, flashed: bytes) -> facts.Board:
+    """Return the wiring of the board that an image is for: what its build wrote beside it, else the table's.
+
+    path: of its file; flashed: content of flash, the image in either bank. Raises LinkError if neither knows
+    its name.
+    """
+    banks = (image_header(flashed[bank.address - FLASH_BASE :]) for bank in FLASH_BANKS)
+    names = (header.board for header in banks if header is not None)
+    try:
+        return board_beside(path, next(names, ""))
+    except WiringError as error:
+        raise LinkError(f"{path}: {error}") from None

@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from neuroflight.sim.arrays import Array, Array32
-from neuroflight.toolchain.contract import BATTERY_FILTER_S, BATTERY_RATE_HZ, SETTINGS
+from neuroflight.toolchain.contract import BATTERY_FILTER_S, BATTERY_RATE_HZ, SIM_VOLTS_SCALE
 
 _PERIOD_S = np.float32(1.0) / np.float32(BATTERY_RATE_HZ)
 _SHARE = _PERIOD_S / (_PERIOD_S + np.float32(BATTERY_FILTER_S))
 _VOLTS_PER_MV = np.float32(0.001)
-_SCALE = next(float(setting.default) for setting in SETTINGS if setting.name == "battery_scale")
+_SCALE = SIM_VOLTS_SCALE
 
 
 class BatteryVoltage:

@@ -9,11 +9,12 @@ import numpy as np
 from neuroflight.sim.arrays import Array, Array32
 from neuroflight.sim.control.motors import throttle_mix
 from neuroflight.sim.control.observation import Observer
+from neuroflight.toolchain.contract import ESC_BLOCKS, hears_rotors
 from neuroflight.toolchain.ir.interpreter import advance, clear_state
 from neuroflight.toolchain.passes import optimize
 from neuroflight.toolchain.policy.model import PolicyModel
 
-SENSED = frozenset({"rotor_speed", "gravity"})  # blocks that no step of a Controller is given
+SENSED = ESC_BLOCKS | {"gravity"}  # blocks that no step of a Controller is given
 
 
 class Controller(Protocol):
@@ -64,7 +65,8 @@ class PolicyController:
         )
         self._action = np.zeros((count, policy.action_count), np.float32)
         self._sensed: dict[str, Array32] = {}
-        self.senses = bool(self._observer.names & SENSED)  # whether each step needs a `sense` before it
+        self.senses = self._observer.names & SENSED  # which of them each step needs
+        self.hears_rotors = hears_rotors(policy.blocks)
 
     def reset(self) -> None:
         """Clear all state: deltas, the previous action and recurrent state of the next step are zero."""
@@ -72,13 +74,13 @@ class PolicyController:
         self._action[:] = 0.0
         self._state = clear_state(self._network, len(self._everyone))
 
-    def sense(self, rotor_speed: Array, rotation: Array) -> None:
+    def sense(self, rotor_speed: Array32, rotation: Array) -> None:
         """Set rotor speeds and attitude that the next step may observe.
 
-        rotor_speed: (N, M) [rad/s]; rotation: (N, 3, 3), matrices from body to world.
+        rotor_speed: (N, M) [rad/s], as ESCs tell it; rotation: (N, 3, 3), matrices from body to world.
         """
         self._sensed = {
-            "rotor_speed": rotor_speed.astype(np.float32),
+            "rotor_speed": rotor_speed,
             "gravity": -rotation[:, 2].astype(np.float32),
         }
 

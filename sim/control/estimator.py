@@ -12,7 +12,14 @@ from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse
 from neuroflight.sim.arrays import Array32, Flags, Which
 from neuroflight.sim.control.motors import raised
 from neuroflight.sim.physics.rotor import coefficient, response_rows, rotor_geometry, target_speed
-from neuroflight.toolchain.contract import ESTIMATOR_CORRECTION_HZ, ESTIMATOR_DELAY_MAX, GRAVITY
+from neuroflight.toolchain.contract import (
+    ESTIMATOR_CORRECTION_HZ,
+    ESTIMATOR_DELAY_MAX,
+    GRAVITY,
+    ObservationTerm,
+    needs_model,
+    welcomes_model,
+)
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.policy.model_constants import UNLIMITED, ModelConstants
 
@@ -61,6 +68,22 @@ def model_constants(aircraft: Aircraft, control_rate_hz: int) -> ModelConstants:
         ) from error
 
 
+def observed_model(
+    aircraft: Aircraft, terms: tuple[ObservationTerm, ...], control_rate_hz: int
+) -> ModelConstants | None:
+    """Return the model that a policy which observes `terms` flies with; None: it needs none.
+
+    A policy that observes rotor speeds has one where the aircraft has, as the firmware takes the speed of a
+    rotor whose ESC is silent from it. Raises AircraftError as `model_constants` where one is needed.
+    """
+    if needs_model(terms):
+        return model_constants(aircraft, control_rate_hz)
+    try:
+        return model_constants(aircraft, control_rate_hz) if welcomes_model(terms) else None
+    except AircraftError:
+        return None
+
+
 def _hover_speed(aircraft: Aircraft) -> float:
     """Compute the speed [rad/s] of each rotor in hover; full speed if the aircraft cannot hover."""
     propulsion = aircraft.propulsion
@@ -87,14 +110,23 @@ class Estimator:
         self._speed[index] = 0.0
         self._rate[index] = 0.0
 
-    def observe(self, which: Which, first: Flags | None, gyro: Array32, *, standing: bool = False) -> None:
+    def observe(
+        self,
+        which: Which,
+        first: Flags | None,
+        gyro: Array32,
+        measured: Array32 | None = None,
+        *,
+        standing: bool = False,
+    ) -> None:
         """Begin a control step of the aircraft of `which` with the gyro's rate (K, 3) [rad/s].
 
-        first: (K, 1), True in the first step; None: of no aircraft. standing: the ground holds them.
+        first: (K, 1), True in the first step; None: of no aircraft. measured: the rotors' speeds (K, M)
+        [rad/s]; None: as the model has them. standing: the ground holds them.
         """
         model = self._model
         before = self._speed[which]
-        after = self._advanced(before, self._commands[0, which])
+        after = self._advanced(before, self._commands[0, which]) if measured is None else measured
         gained, square = after - before, after * after
         rate = self._rate[which].copy()
         for axis in range(0 if standing else 3):

@@ -18,6 +18,7 @@ from neuroflight.toolchain.contract import (
     RATE_ERROR_INTEGRAL_LIMIT_RAD,
     RATE_FULL_STICK_DEG_S,
     ObservationTerm,
+    measures_rotors,
     needs_model,
     observation_count,
 )
@@ -37,6 +38,7 @@ _LIMITS = {
     "gravity": (-1.0, 1.0),
     "previous_motors": (-1.0, 1.0),
     "rotor_estimate": (-_ROTOR_SPEED_MAX, _ROTOR_SPEED_MAX),
+    "rotor_measured": (-_ROTOR_SPEED_MAX, _ROTOR_SPEED_MAX),
     "rate_estimate": (-_RATE_MAX, _RATE_MAX),
     "rate_estimate_error": (-_ERROR_MAX, _ERROR_MAX),
 }
@@ -71,6 +73,7 @@ class Observer:
         if model is None and needs_model(terms):
             raise ValueError("this observation needs a model of the aircraft, got none")
         self._estimator = Estimator(model, count, idle) if needs_model(terms) and model is not None else None
+        self._measures = measures_rotors(terms)
         self._motors = np.zeros((count, motors), np.float32)  # the last fractions less the throttle
         self.names = frozenset(term.name for term in terms)  # of the blocks that are observed
         self.width = observation_count(terms, motors)
@@ -131,10 +134,14 @@ class Observer:
             blocks["rate_error_delta"] = delta if fresh is None else np.where(fresh, np.float32(0.0), delta)
             self._error[which] = error
         if self._estimator is not None:
-            self._estimator.observe(which, fresh, rate, standing=self._standing)
+            measured = rotor_speed if self._measures else None
+            if self._measures and measured is None:
+                raise ValueError("observe needs rotor_speed for rotor_measured, got none")
+            self._estimator.observe(which, fresh, rate, measured, standing=self._standing)
             estimate = self._estimator.rate_estimate(which)
             rotors = self._estimator.rotor_estimate(which, throttle)
             blocks["rotor_estimate"] = np.zeros_like(rotors) if self._standing else rotors
+            blocks["rotor_measured"] = blocks["rotor_estimate"]
             blocks["rate_estimate"] = estimate
             blocks["rate_estimate_error"] = setpoint - estimate
         if "rate_error_integral" in self.names:

@@ -6,7 +6,8 @@ closes the throttle and switches off, and the motors must stop. Receiver frames 
 control step they belong to: when the sticks changed, but no closer than SBUS can send them, and every 10 ms
 in any case. Receiver frames are decided 4 ms (FRAME_SPACING_S) ahead of their control step, further at low
 gyro rates, because a frame takes that long on a serial line: on every port alike, and a port that simulates
-the line gets the frame at once. A battery that the twin flies on is told to the port at each control step.
+the line gets the frame at once. A battery that the twin flies on is told to the port at each control step,
+and rotor speeds as ESCs answer to the frames before it, where the firmware asks for them.
 """
 
 from __future__ import annotations
@@ -25,11 +26,13 @@ from neuroflight.sim.control.motors import each_fraction, motor_fractions
 from neuroflight.sim.flight.eye_pilot import EyePilot
 from neuroflight.sim.flight.scenario import Scenario, Segment
 from neuroflight.sim.flight.trace import Trace
+from neuroflight.sim.physics.esc import rotor_words
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.ports.port import (
     BatteryPort,
     FirmwarePort,
     Reply,
+    RotorPort,
     Sample,
     SerialReceiverPort,
     control_divider,
@@ -246,6 +249,8 @@ class _Lockstep:
         self._serial = port if isinstance(port, SerialReceiverPort) else None
         self._battery = twin.battery
         self._measures = port if self._battery is not None and isinstance(port, BatteryPort) else None
+        self._rotors = port if isinstance(port, RotorPort) and port.hears_rotors else None
+        self._order = order
         self._divider = control_divider(port.gyro_rate_hz, port.control_rate_hz)
         self._spacing = round(FRAME_SPACING_S * port.control_rate_hz)
         self._period = round(FRAME_PERIOD_S * port.control_rate_hz)
@@ -316,6 +321,8 @@ class _Lockstep:
         sample.velocity[:] = live.velocity
         sample.position[:] = live.position
         self._samples += 1
+        if self._rotors is not None and self._samples % self._divider == 0:
+            self._rotors.set_rotors(rotor_words(live.rotor_speed[0, self._order]))
         reply = self._port.exchange(sample, channels)
         if reply is not self._reply:
             self._command(reply)

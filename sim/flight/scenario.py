@@ -27,10 +27,10 @@ from neuroflight.sim.arrays import Flags
 from neuroflight.sim.control import sticks
 from neuroflight.sim.flight.freestyle import FRAME_S, stick_strokes
 from neuroflight.sim.physics.world import Mount
-from neuroflight.sim.strict_toml import StrictTable, parse_toml
 from neuroflight.toolchain.contract import RATE_FULL_STICK_DEG_S
 from neuroflight.toolchain.errors import ScenarioError
 from neuroflight.toolchain.files import read_limited
+from neuroflight.toolchain.strict_toml import StrictTable, parse_toml
 
 Rates = tuple[float, float, float]  # roll, pitch, yaw [deg/s]
 STILL: Rates = (0.0, 0.0, 0.0)

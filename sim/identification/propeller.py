@@ -10,8 +10,8 @@ import numpy as np
 from neuroflight.sim.aircraft.advance import AdvanceRatio, Terms, read_advance
 from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.propeller_tables import Measurements, Static
-from neuroflight.sim.strict_toml import StrictTable
 from neuroflight.toolchain.errors import DynoError
+from neuroflight.toolchain.strict_toml import StrictTable
 
 DIGITS = 4  # significant, of a coefficient
 LEFT_MAX = 0.3  # part of the thrust at J = 0 at the largest J measured, above which the rest is a guess

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import Vector
 from neuroflight.sim.aircraft.model import Aircraft
-from neuroflight.sim.arrays import Array, Indices
+from neuroflight.sim.arrays import Array, Array32, Indices
 from neuroflight.sim.physics.air import AIR_DENSITY, Wash, Wind
 from neuroflight.sim.physics.battery import BatteryState
 from neuroflight.sim.physics.delay import CommandDelay
-from neuroflight.sim.physics.esc import Telemetry
+from neuroflight.sim.physics.esc import Telemetry, rotor_words, words_speed
 from neuroflight.sim.physics.heat import Heat
 from neuroflight.sim.physics.imu import AccelerometerModel, GyroModel
 from neuroflight.sim.physics.library import assign, library, pointer, struct
@@ -146,6 +146,7 @@ class Twin:
             own = rng.spawn(1)[0]
             self._accelerometer = AccelerometerModel(aircraft.accelerometer, count, self._dt, own, speed_max)
         sensors = [sensor for sensor in (self._gyro, self._accelerometer) if sensor is not None]
+        self._ideal = not (noise and any(aircraft.gyro.noise))
         self._phase = np.zeros(shape) if any(sensor.vibrates for sensor in sensors) else None  # [rad]
         self._phase_rng = rng.spawn(1)[0]
         self._wash = None
@@ -231,6 +232,16 @@ class Twin:
         speed, heat = self.live.rotor_speed, self._heat
         temperature = np.full_like(speed, np.nan) if heat is None else heat.temperature.copy()
         return self._supply.telemetry(speed, self.live.thrust_factor * self._load_factor[:, 2:3], temperature)
+
+    @property
+    def told_speed(self) -> Array32:
+        """Rotor speeds [rad/s] as the firmware has them from the ESCs at this sample, (N, M); see esc.py.
+
+        Of a twin without noise of the gyro they are the sample's own: its sensors are ideal.
+        """
+        if self._ideal:
+            return self.live.rotor_speed.astype(np.float32)
+        return words_speed(rotor_words(self._scratch["before"]))
 
     @property
     def motor_current(self) -> Array:

@@ -27,14 +27,20 @@ from neuroflight.sim.board.core.context import TIME_HZ, BoardError
 from neuroflight.sim.board.debug.fault_injection import Fault, FaultPlan
 from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from neuroflight.sim.board.debug.variables import read_variables
-from neuroflight.sim.board.devices.gyro_chip import READY
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
-from neuroflight.sim.board.devices.sd_card import SdCard
-from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
+from neuroflight.sim.board.devices.log_place import LogChip, open_log_chip
+from neuroflight.sim.board.matekf722 import FULL_VOLTS, Gyro, fitted_gyro, image_wiring
+from neuroflight.sim.board.peripherals.signals import uart_name
 from neuroflight.sim.board.serial.idle_board import configured
 from neuroflight.sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings
 from neuroflight.sim.ports.receiver_frames import RECEIVERS, Receiver
+from neuroflight.toolchain.boards import facts
+from neuroflight.toolchain.boards.allocation import allocate
+from neuroflight.toolchain.boards.description import described_receiver
 from neuroflight.toolchain.contract import (
+    ESC_WORD_MAX,
+    FLASH_BANK_A,
+    FLASH_BASE,
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     SETTINGS,
@@ -46,10 +52,8 @@ from neuroflight.toolchain.contract import (
 from neuroflight.toolchain.errors import LinkError
 from neuroflight.toolchain.image.elf import read_flashable
 
-RECEIVER = "USART2"
 BOOT_S = 5.0  # from power to the first sample that the firmware reads
 EDGE_CYCLES = TIME_HZ // GYRO_EDGE_RATE_HZ
-_READY_LINE = int(READY[2:])
 _STATUS, _SAMPLES, _DIVIDER, _RATE = (
     f"firmware.{name}" for name in ("status", "samples", "control_divider", "gyro_rate_hz")
 )
@@ -91,8 +95,10 @@ class EmulatedPort:
         gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
         settings: Mapping[str, float] | None = None,
         *,
-        gyro: Gyro = GYRO,
-        card: SdCard | Path | None = None,
+        wiring: facts.Board | None = None,
+        receiver: int | None = None,
+        gyro: Gyro | None = None,
+        card: LogChip | Path | None = None,
         dshot: int | None = None,
         faults: Sequence[Fault] = (),
         profile: bool = False,
@@ -102,9 +108,12 @@ class EmulatedPort:
         """Power a board with `image` in its flash, and boot it; its ELF lies beside it.
 
         settings: other than the image's own; they and the gyro rate are stored by the image itself before, as
-        `configured` does. The receiver speaks what they say. gyro: what is fitted.
-        card: in its slot, or its image file; the port closes it. None: the slot is empty.
-        dshot: the speed that the ESCs are set to, 300 or 600; None: as the setting motor_protocol says.
+        `configured` does. The receiver speaks what they say.
+        wiring: the board's; None: that of the board whose name the image has. receiver: UART that it is
+        wired to; None: the one that the image listens to. gyro: what is fitted; None: what boards of that
+        name carry.
+        card: what keeps logs, or its file (open_log_chip); the port closes it. None: nothing is fitted.
+        dshot: the speed that the ESCs are set to, 150, 300 or 600; None: as the setting motor_protocol says.
         profile: keep the tree of calls.
         attach: gets the powered board and returns what makes it run, `Board.run_to` or what stands before it.
         on_failure: gets a board whose image does not boot, before it is closed.
@@ -118,26 +127,32 @@ class EmulatedPort:
         for path in (image, elf):
             if not path.is_file():
                 raise LinkError(f"{path}: not built yet; build it with `make firmware TARGET=MATEKF722`")
+        flashed = read_flashable(image)
+        wiring = wiring or image_wiring(image, flashed)
+        gyro = gyro or fitted_gyro(wiring)
         names = (_STATUS, _SAMPLES, _DIVIDER, _RATE, *_LOG)
         self._variables = dict(zip(names, read_variables(elf, *names), strict=True))
         self._alignment = gyro.alignment
+        receiver = receiver or described_receiver(flashed[FLASH_BANK_A.address - FLASH_BASE :])
+        self.receiver_uart = uart_name(allocate(wiring, receiver).receiver)
         self._plan = FaultPlan(faults, gyro_rate_hz)
         self._begin()
         wanted = _stored(settings, gyro_rate_hz)
         self._receiver = _receiver(wanted)
-        flashed = read_flashable(image)
+        self.hears_rotors = bool(wanted.get("motor_telemetry", 0))
         self.image_sha256 = hashlib.sha256(flashed).hexdigest()
         try:
-            flash = configured(flashed, elf, wanted, gyro)
+            flash = configured(flashed, elf, wanted, gyro, wiring)
         except BoardError:
             flash = flashed  # skip this boot: the boot below has the same result, and is profiled
         self.board = Board(
             flash,
             elf=elf,
+            board=wiring,
             chip=gyro.chip,
             profile=profile,
             strict=all(fault.name != "processor-fault" for fault in faults),
-            card=SdCard(card) if isinstance(card, Path) else card,
+            card=open_log_chip(wiring, card) if isinstance(card, Path) else card,
             watchdog_resets=any(not fault.kind.of_card for fault in faults),
             dshot=dshot or _dshot(settings or {}),
         )
@@ -195,7 +210,8 @@ class EmulatedPort:
         wanted = self._edge + samples * self._period - before
         sender = self._receiver
         frame, broken = self._plan.damaged(sender.frame(channels_us), sender.format)
-        end = self.board.hardware.usarts[RECEIVER].feed(frame, sender.format, end=wanted, broken=broken)
+        line = self.board.hardware.usarts[self.receiver_uart]
+        end = line.feed(frame, sender.format, end=wanted, broken=broken)
         if end > wanted:
             late = 1e6 * (end - wanted) / TIME_HZ
             raise LinkError(f"a receiver frame is announced {late:.0f} us too late for its time on the line")
@@ -211,7 +227,8 @@ class EmulatedPort:
         if self._plan.due:
             self._inject()
         turned = self._alignment
-        self._gyro.measure(accel_counts(force, turned), 0, gyro_counts(gyro, turned))
+        scale = self._gyro.kind.gyro_scale
+        self._gyro.measure(accel_counts(force, turned), 0, gyro_counts(gyro, turned, scale))
         self._edge += self._period
         self._run_to(self._edge - 1)
         self._samples += 1
@@ -234,6 +251,11 @@ class EmulatedPort:
     def set_battery(self, volts: float, amps: float) -> None:
         """See BatteryPort: the converter's pins, behind the board's divider and current sensor."""
         self.board.hardware.adc.set_battery(volts, amps)
+
+    def set_rotors(self, words: NDArray[np.uint16]) -> None:
+        """See RotorPort: the ESCs answer by them."""
+        for esc, word in zip(self.board.hardware.escs, words.tolist(), strict=False):
+            esc.answer = word if word <= ESC_WORD_MAX else None
 
     def arming_reasons(self) -> tuple[str, ...]:
         return arming_reasons(int(self._read(_STATUS)["arming_reasons"])) if self._up else ()
@@ -303,7 +325,8 @@ class EmulatedPort:
 
     def _listens(self) -> bool:
         """Return True if the firmware has opened the gyro's line, the last step of its boot."""
-        return bool(self.board.hardware.exti.words["IMR"] >> _READY_LINE & 1)
+        line = self.board.hardware.gyro_line
+        return line is not None and bool(self.board.hardware.exti.words["IMR"] >> line & 1)
 
     def _validate_announced(self, channels_us: Sequence[int] | None) -> None:
         """Raise LinkError unless these channels were announced for this sample, or None and none were."""

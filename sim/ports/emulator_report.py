@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from neuroflight.sim.board.board import exti_interrupt
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.core.engine import Note
 from neuroflight.sim.board.debug.profile import task_counts
-from neuroflight.sim.board.devices.gyro_chip import READY
 from neuroflight.sim.board.registers.bus import load_table
 from neuroflight.sim.ports.emulator import EmulatedPort, Event
 
-GYRO_EDGE = 16 + load_table().interrupt(f"EXTI{READY[2:]}")  # exception of the data-ready edge's handler
 _US = 1e6 / TIME_HZ
 
 
@@ -28,7 +27,7 @@ class EmulatedReport:
     gyro_wait_us: float  # the longest that a data-ready edge waited for its handler
     gyro_wait_place: str  # what ran then; "" if none ever waited
     watchdog_margin_s: float | None  # the least that was left when it was fed
-    card_writes: int | None  # blocks that went to the SD card; None: there is none
+    card_writes: int | None  # blocks of the card, or pages of the flash chip; None: there is none
     resets: tuple[str, ...]  # their causes, the first one power
     events: tuple[Event, ...]
     stopped_s: float | None  # when the firmware stopped its motors before the end; None: it flew to the end
@@ -51,8 +50,10 @@ def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: fl
     flight_s: length of its scenario; took_s: elapsed real time, with the boot, the twin and all else.
     """
     report = port.board.report()
-    edge = next((task for task in task_counts(port.board.engine) if task.exception == GYRO_EDGE), None)
-    card = port.board.hardware.card_slot.card
+    line = port.board.hardware.gyro_line
+    handler = None if line is None else 16 + load_table().interrupt(exti_interrupt(line))
+    edge = next((task for task in task_counts(port.board.engine) if task.exception == handler), None)
+    card = port.board.hardware.log_place.chip
     stops = [event.at_s for event in port.events if event.stops]
     return EmulatedReport(
         image=str(image),

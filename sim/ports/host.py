@@ -25,7 +25,16 @@ from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.transport import TcpPort, TcpTransport
 from neuroflight.sim.arrays import Indices
 from neuroflight.sim.control.motors import each_fraction
-from neuroflight.sim.ports.port import AskedPort, Reply, Sample, flight_settings, setting_changes
+from neuroflight.sim.physics.esc import Words
+from neuroflight.sim.ports.port import (
+    AskedPort,
+    Reply,
+    Sample,
+    all_words,
+    flight_settings,
+    hears_rotors,
+    setting_changes,
+)
 from neuroflight.sim.ports.simulator_link import (
     LOOPBACK,
     PACKET_BYTES_MAX,
@@ -40,6 +49,8 @@ from neuroflight.toolchain.contract import (
     SIM_MOTOR_FORMAT,
     SIM_POWER_FORMAT,
     SIM_POWER_MAGIC,
+    SIM_ROTOR_FORMAT,
+    SIM_ROTOR_MAGIC,
     SIM_TRACE_FLAG_ARMED,
     SIM_TRACE_FORMAT,
     SIM_TRACE_MAGIC,
@@ -58,6 +69,7 @@ MOTOR_PACKET_TOLERANCE = 1e-3  # a microsecond of a servo packet's pulse width
 
 _MOTOR = struct.Struct(SIM_MOTOR_FORMAT)
 _POWER = struct.Struct(SIM_POWER_FORMAT)
+_ROTORS = struct.Struct(SIM_ROTOR_FORMAT)
 _TRACE = struct.Struct(SIM_TRACE_FORMAT)
 _TRACE_HEAD = struct.Struct("<II24sfBB")  # setpoint and gyro in one; then _TRACE has DShot values
 _TRACE_DSHOT = _TRACE.size - 2 * MOTOR_COUNT_MAX  # where they begin
@@ -103,6 +115,9 @@ class HostPort(AskedPort):
             self._ask_policy(gyro_rate_hz)
             self._motors_of = _motors_of_outputs(wanted, self.motor_count)  # traces tell motors
             self._close = undo.pop_all()
+        self.hears_rotors = hears_rotors(wanted)
+        self._words: Words | None = None  # what the ESCs answer to the frame of the next sample
+        self._answered: Words | None = None  # and to that of the last one
         self._wire = self._joined()
         self._channels = self._ffi.new("uint16_t[]", CHANNEL_COUNT)
         self._sample: Sample | None = None  # whose values `_values` points to
@@ -118,6 +133,9 @@ class HostPort(AskedPort):
         if channels_us is not None:
             channels, self._channels[0:CHANNEL_COUNT] = self._channels, channels_us
         step, after = divmod(self._samples, self._divider)
+        if after == 0 and self._answered is not None:
+            self._send_beside(_ROTORS.pack(SIM_ROTOR_MAGIC, sample.time_s, *self._answered.tolist()))
+        self._answered, self._words = self._words, None
         found = self._lib.link_exchange(self._wire, sample.time_s, self._values, channels, after == 0)
         if found != self._lib.LINK_SAME or self._reply is None:
             self._read(found, step if after == 0 else None)
@@ -126,7 +144,13 @@ class HostPort(AskedPort):
         return self._reply
 
     def set_battery(self, volts: float, amps: float) -> None:
-        packet = _POWER.pack(SIM_POWER_MAGIC, self._samples / self.gyro_rate_hz, volts, amps, 0.0)
+        self._send_beside(_POWER.pack(SIM_POWER_MAGIC, self._samples / self.gyro_rate_hz, volts, amps, 0.0))
+
+    def set_rotors(self, words: Words) -> None:
+        self._words = all_words(words)
+
+    def _send_beside(self, packet: bytes) -> None:
+        """Send a packet of the power port."""
         try:
             self._power.sendto(packet, (LOOPBACK, self._child.ports["power"]))
         except OSError as error:

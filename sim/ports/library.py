@@ -14,7 +14,16 @@ from cffi import FFI
 from neuroflight.flash.link.client import Client
 from neuroflight.sim.arrays import Array
 from neuroflight.sim.compiled import contract_declarations
-from neuroflight.sim.ports.port import AskedPort, Reply, Sample, flight_settings, setting_changes
+from neuroflight.sim.physics.esc import Words
+from neuroflight.sim.ports.port import (
+    AskedPort,
+    Reply,
+    Sample,
+    all_words,
+    flight_settings,
+    hears_rotors,
+    setting_changes,
+)
 from neuroflight.sim.structs import struct_declaration
 from neuroflight.toolchain.contract import (
     CHANNEL_COUNT,
@@ -79,6 +88,10 @@ class Reference:
     def power(self, volts: float, amps: float, control_us: float = 0.0) -> None:
         """Set voltage [V] and current [A] of the battery, and the duration of each control step [us]."""
         self._library.reference_power(self._self, volts, amps, control_us)
+
+    def rotors(self, words: Words) -> None:
+        """Set what each ESC, by output, answered to the last frame: (MOTOR_COUNT_MAX,), for the next step."""
+        self._library.reference_rotors(self._self, self._ffi.from_buffer("uint16_t[]", words))
 
     def sample(self, gyro: Array, specific_force: Array) -> bytes:
         """Take one sample of gyro (3,) [rad/s] and accelerometer (3,) [m/s^2], body axes.
@@ -156,7 +169,11 @@ class ReferencePort(AskedPort):
         settings: Mapping[str, float] | None = None,
     ) -> None:
         """Boot a fresh firmware. Raises LinkError as Reference does."""
-        self.reference = Reference(library, gyro_rate_hz, flight_settings(settings))
+        wanted = flight_settings(settings)
+        self.reference = Reference(library, gyro_rate_hz, wanted)
+        self.hears_rotors = hears_rotors(wanted)
+        self._words: Words | None = None  # what the ESCs answer to the frame of the next sample
+        self._answered: Words | None = None  # and to that of the last one
         self._ask_policy(gyro_rate_hz)
         self._until_control = 0
         self._sample: Sample | None = None  # whose values `_take` takes
@@ -166,6 +183,9 @@ class ReferencePort(AskedPort):
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         if channels_us is not None:
             self.reference.receiver(channels_us)
+        if self._until_control == 0 and self._answered is not None:
+            self.reference.rotors(self._answered)
+        self._answered, self._words = self._words, None
         if sample is not self._sample:
             self._sample, self._take = sample, self.reference.sampler(sample.values)
         changed = self._take()
@@ -176,6 +196,9 @@ class ReferencePort(AskedPort):
 
     def set_battery(self, volts: float, amps: float) -> None:
         self.reference.power(volts, amps)
+
+    def set_rotors(self, words: Words) -> None:
+        self._words = all_words(words)
 
     def close(self) -> None:
         self.reference.close()

@@ -14,7 +14,16 @@ from neuroflight.flash.link.client import Client
 from neuroflight.flash.logs.messages import log_info
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.arrays import Array, Array32
-from neuroflight.toolchain.contract import AXES, BOOT_GRACE_MS, RATE_FULL_STICK_DEG_S, FallbackCause, Msp
+from neuroflight.sim.physics.esc import Words
+from neuroflight.toolchain.contract import (
+    AXES,
+    BOOT_GRACE_MS,
+    ESC_SILENT,
+    MOTOR_COUNT_MAX,
+    RATE_FULL_STICK_DEG_S,
+    FallbackCause,
+    Msp,
+)
 from neuroflight.toolchain.errors import LinkError
 
 
@@ -110,6 +119,20 @@ class BatteryPort(FirmwarePort, Protocol):
         """Set the battery's voltage at its terminals [V] and the current out of it [A] from now on."""
 
 
+@runtime_checkable
+class RotorPort(FirmwarePort, Protocol):
+    """A port whose firmware may hear rotor speeds from the ESCs, over the motor wires."""
+
+    hears_rotors: bool  # as its setting motor_telemetry says
+
+    def set_rotors(self, words: Words) -> None:
+        """Set what the ESCs answer, by output, to the frames of the sample that is exchanged next.
+
+        Given before each sample that a control step follows; the control step has them. words: (M,),
+        toolchain/contract/motors.py.
+        """
+
+
 class PolicyPort(FirmwarePort, Protocol):
     """A port whose firmware flies a policy, and the PID in its place where the policy must not fly."""
 
@@ -195,6 +218,18 @@ def flight_settings(settings: Mapping[str, float] | None) -> dict[str, float]:
     given = dict(settings or {})
     rates = {} if given.get("rates_style", 0) else FLIGHT_RATES
     return {"arming_delay_ms": BOOT_GRACE_MS, "ground_detection": 0, **rates, **given}
+
+
+def hears_rotors(settings: Mapping[str, float]) -> bool:
+    """Return True if a firmware with these settings asks its ESCs for rotor speeds."""
+    return bool(settings.get("motor_telemetry", 0))
+
+
+def all_words(words: Words) -> Words:
+    """Return the words of all outputs that a firmware may have: those that are not given are silent."""
+    told = np.full(MOTOR_COUNT_MAX, ESC_SILENT, np.uint16)
+    told[: len(words)] = words
+    return told
 
 
 def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:

@@ -4,7 +4,8 @@ Gyro counts and their conversion, sticks, throttle mix, idle and DShot values ar
 float32. Arming is reduced to what makes flights comparable: after a second of gyro averaging (its mean is the
 bias; motion is not looked for) the switch going on with the throttle low arms, the switch going off or a
 receiver lost for 1 s disarms, and after 100 ms of silence the sticks count as centred. A PID follows the
-battery's voltage as the firmware's does.
+battery's voltage as the firmware's does. A policy that observes rotor speeds has them from ESCs that answer
+every frame.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from numpy.typing import NDArray
 from neuroflight.sim.arrays import Array32
 from neuroflight.sim.control import sticks
 from neuroflight.sim.control.battery_voltage import BatteryVoltage
-from neuroflight.sim.control.controller import Controller
+from neuroflight.sim.control.controller import Controller, PolicyController
 from neuroflight.sim.control.gyro_mean import GyroMean
 from neuroflight.sim.control.motors import dshot_values, throttle_mix
 from neuroflight.sim.control.pid import Pid
+from neuroflight.sim.physics.esc import Words, words_speed
 from neuroflight.sim.physics.imu import RATE_PER_COUNT, counts
 from neuroflight.sim.ports.port import Reply, Sample, control_divider
 from neuroflight.toolchain.contract import (
@@ -29,6 +31,7 @@ from neuroflight.toolchain.contract import (
     CALIBRATION_MS,
     CHANNEL_ARM,
     CHANNEL_THROTTLE,
+    ESC_STANDS,
     GYRO_RATE_DEFAULT_HZ,
     IDLE_DEFAULT,
     RECEIVER_HOLD_MS,
@@ -78,6 +81,9 @@ class ControllerPort:
         self._switch = True  # as of the step before: on, so that a switch left on does not arm
         self._armed = False
         self._reply: Reply | None = None
+        self.hears_rotors = isinstance(controller, PolicyController) and controller.hears_rotors
+        self._words = np.full(motor_count, ESC_STANDS, np.uint16)  # the ESCs' to the frame of the next sample
+        self._answered = self._words  # and to that of the last one
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         if self._samples < self._calibration:
@@ -90,6 +96,9 @@ class ControllerPort:
             self._hear(np.array(channels_us, np.uint16))
             self._age = 0
         self._mean.add((counts(sample.gyro).astype(np.float32) * RATE_PER_COUNT - self._bias)[None])
+        if isinstance(self._controller, PolicyController) and self._controller.senses:
+            self._controller.sense(words_speed(self._answered)[None], sample.rotation[None])
+        self._answered = self._words
         if self._samples % self._divider == 0 or self._reply is None:
             self._reply = self._control(self._mean.mean()[0], self._samples // self._divider)
         self._samples += 1
@@ -97,6 +106,9 @@ class ControllerPort:
 
     def set_battery(self, volts: float, amps: float) -> None:
         self._volts = volts
+
+    def set_rotors(self, words: Words) -> None:
+        self._words = words
 
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort; always empty: it waits for calibration and the switch only."""

@@ -6,8 +6,8 @@ other ways is put where the image takes it, as `runtime_sample` is called by the
 depends on how long the background took.
 
 What the chip cannot be made to say is written instead: that a transfer failed or samples were lost, into the
-sample that `runtime_sample` is given; whether a step missed its deadline, into the argument of
-`firmware_deadline`. Silence is the chip's own.
+sample that `runtime_sample` is given; whether a step missed its deadline, and the words of the ESCs, into
+the arguments of `firmware_deadline` and `firmware_rotors`. Silence is the chip's own.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.board.core.engine import Outcome
 from neuroflight.sim.board.debug.variables import pointers_in, read_variables
-from neuroflight.sim.ports.emulator import RECEIVER, EmulatedPort
+from neuroflight.sim.ports.emulator import EmulatedPort
 from neuroflight.sim.replay.inputs import ANSWER, Answers, Flight, Progress, unpacked, words_of_samples
 from neuroflight.toolchain.contract import LogEdge, Weights
 from neuroflight.toolchain.errors import LinkError, TraceError
 
 SILENCE_EDGES_MAX = 400  # periods of the gyro until the image must have told of a silence
 _FIRMWARE = "firmware"
-_STOPS = ("runtime_sample", "runtime_gyro_silent", "firmware_deadline")
+_ROTORS = "firmware_rotors"
+_STOPS = ("runtime_sample", "runtime_gyro_silent", "firmware_deadline", _ROTORS)
 _ONE, _NONE = b"\1", b"\0"
 _EDGES = {  # flag, and the variable of the background that says it
     LogEdge.POSTED: "posted",
@@ -82,7 +83,7 @@ class BoardReplay(EmulatedPort):
                 self._sample(words[k, i], not inputs.invalid[k, i], int(inputs.lost[k]) if last else 0)
                 if last:
                     self._edges(flight, k)
-                self._go_on(k, bool(inputs.flags[k] & LogEdge.MISSED) if last else None)
+                self._go_on(flight, k, control_step=last)
             for name in ANSWER.fields or ():
                 answers[name][k] = told[name]
             if k % every == 0:
@@ -127,10 +128,15 @@ class BoardReplay(EmulatedPort):
         engine.set_memory(sample + layout["valid"][1], _ONE if valid else _NONE)
         engine.set_memory(sample + layout["lost"][1], lost.to_bytes(2, "little"))
 
-    def _go_on(self, step: int, missed: bool | None) -> None:
-        """Run to the cycle before the next edge. missed: the step's deadline; None: the sample is no step."""
+    def _go_on(self, flight: Flight, step: int, *, control_step: bool) -> None:
+        """Run to the cycle before the next edge, through control step `step` if the sample is one."""
         stop = self._run_on()
-        if missed is not None:
+        if control_step:
+            if stop == _ROTORS:
+                words = flight.inputs.rotors[step].astype("<u2").tobytes()
+                self.board.engine.set_memory(self.board.engine.register(1), words)
+                stop = self._run_on()
+            missed = bool(flight.inputs.flags[step] & LogEdge.MISSED)
             if stop != "firmware_deadline":
                 raise LinkError(f"gyro sample of step {step}: no control step came of it")
             self.board.engine.set_register(1, int(missed))
@@ -153,7 +159,7 @@ class BoardReplay(EmulatedPort):
         if flags & LogEdge.POSTED:
             self._put("posted_us", data)
         elif data:
-            self.board.hardware.dma.requests[f"{RECEIVER}_RX"].give(data)
+            self.board.hardware.dma.requests[f"{self.receiver_uart}_RX"].give(data)
 
     def _put(self, name: str, data: bytes) -> None:
         fields = self._firmware.dtype.fields

@@ -13,13 +13,22 @@ from neuroflight.sim.arrays import Array32, Flags
 from neuroflight.sim.blackbox.firmware import Maker
 from neuroflight.sim.blackbox.log import Log, floats, words
 from neuroflight.sim.replay.inputs import Answers, Flight, Inputs
-from neuroflight.toolchain.contract import GYRO_BAD_MS, LOG_RECEIVER_BYTES, LogEdge, LogEvent, LogGroup
+from neuroflight.toolchain.contract import (
+    ESC_SILENT,
+    GYRO_BAD_MS,
+    LOG_RECEIVER_BYTES,
+    MOTOR_COUNT_MAX,
+    LogEdge,
+    LogEvent,
+    LogGroup,
+)
 from neuroflight.toolchain.errors import LinkError, TraceError
 
 SETTING = "nf_set_"
 STATE_BYTES_MAX = 1 << 16
 _REPLAY = ("gyroRaw[0]", "accRaw[0]", "sampleFlags", "lost")
 _CHECK, _CHECK_MASK = "inputCheck", 0x3FFF
+_WORDS = "rotorWord"
 _HELD = ("edgeForbidden", "edgeGain")
 _SLOW = (*_HELD, "edgeFlags", "rxCount")
 _RECEIVED = tuple(f"rxBytes[{word}]" for word in range(LOG_RECEIVER_BYTES // 4))
@@ -167,7 +176,17 @@ def _inputs(log: Log, divider: int) -> Inputs:
         gain=floats(slow["edgeGain"]),
         received=slow["rxCount"],
         receiver=np.ascontiguousarray(received),
+        rotors=_rotors(log),
     )
+
+
+def _rotors(log: Log) -> NDArray[np.uint16]:
+    """Return the words of the ESCs (N, MOTOR_COUNT_MAX); all silent where none are logged."""
+    words_told = log.matrix(_WORDS)
+    found = np.full((len(log), MOTOR_COUNT_MAX), ESC_SILENT, np.uint16)
+    if words_told is not None:
+        found[:, : words_told.shape[1]] = words_told[:, :MOTOR_COUNT_MAX]
+    return found
 
 
 def _slow(log: Log) -> dict[str, Integers]:
@@ -234,10 +253,13 @@ def _sound(log: Log, inputs: Inputs, motors: Integers) -> Flags:
     head["words"] = np.stack([part.astype(np.uint32) for part in parts], axis=1)
     head["numbers"] = np.stack([inputs.samples, inputs.received], axis=1).astype(np.uint16)
     values = motors.astype("<u2")
+    rotors = inputs.rotors[:, : motors.shape[1]].astype("<u2")
+    tells = f"{_WORDS}[0]" in log.columns
     found = np.zeros(len(log), np.int64)
     for k, count in enumerate(inputs.samples.tolist()):
         crc = zlib.crc32(samples[k, :count].tobytes(), zlib.crc32(head[k].tobytes()))
         crc = zlib.crc32(inputs.accel[k].tobytes(), crc)
+        crc = zlib.crc32(rotors[k].tobytes() if tells else b"", crc)
         crc = zlib.crc32(inputs.receiver[k, : int(inputs.received[k])].tobytes(), crc)
         found[k] = zlib.crc32(values[k].tobytes(), crc) & _CHECK_MASK
     sound: Flags = found == told

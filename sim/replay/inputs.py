@@ -45,6 +45,7 @@ class Inputs:
     gain: Array32  # (N,) of the PID for the battery's voltage
     received: NDArray[np.int64]  # (N,) bytes from the receiver
     receiver: NDArray[np.uint8]  # (N, LOG_RECEIVER_BYTES) they
+    rotors: NDArray[np.uint16]  # (N, MOTOR_COUNT_MAX) words of the ESCs, by output
 
     def __len__(self) -> int:
         return len(self.step)
@@ -131,6 +132,7 @@ def packed(flight: Flight, first: int, last: int) -> NDArray[np.void]:
     steps["edge_flags"] = inputs.flags[rows] | (inputs.silences[rows] * LogEdge.SILENCE).astype(np.uint32)
     steps["lost"], steps["samples"], steps["receiver_count"] = lost, samples, received
     steps["accel"], steps["receiver_bytes"] = inputs.accel[rows], inputs.receiver[rows]
+    steps["rotors"] = inputs.rotors[rows]
     steps["gyro"]["counts"][:, :depth] = inputs.counts[rows]
     flags = inputs.invalid[rows] * LogSampleFlag.INVALID + inputs.repeated[rows] * LogSampleFlag.REPEATED
     steps["gyro"]["flags"][:, :depth] = flags

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,7 +67,7 @@ DMA2_LISR, DMA2_SCR = 0x40026400, 0x40026410
 STREAM_BYTES = 0x18
 ADC_DONE, GYRO_DONE = 1 << 5, 1 << 21  # DMA_LISR TCIF0, TCIF2
 RING_BYTES = 256
-ONE_TICKS = 270  # that a DShot600 bit of 1 is high
+MOTOR_STREAM, MOTOR_LOW = 6, 22  # of DMA2, writes port C; the bit of BSRR that ends motor 1's pulse (PC6)
 GRAVITY, ACCEL_COUNTS = 9.80665, 2048  # m/s^2; counts a g
 PACK_MV = 16_800 // 11  # at the pin
 EVERY = 40  # gyro samples from one call of the background to the next: 10 ms
@@ -288,7 +288,7 @@ class _Board:
             self.core.write(region.address, bytes(sketch.uc.mem_read(region.address, region.size)))
         at = {name: program.symbol(name).address for name in program.symbols}
         self._response, self._ring = at["gyro_response"], at["receiver_ring_bytes"]
-        self._slots, self._conversions = at["motor_slots"], at["power_conversions"]
+        self._words, self._conversions = at["motor_words"], at["power_conversions"]
         self._runtime = at["runtime"]
         self._head = 0
         written, taken = read_variables(elf, "log_ring.written", "log_ring.taken")
@@ -311,7 +311,7 @@ class _Board:
         self._poke(DMA2_LISR, 0)
         if (dshot := self._frame()) != step.dshot:
             raise AssertionError(f"the image sends {dshot}, the host {step.dshot}: not the same firmware")
-        self._end(1)
+        self._end(MOTOR_STREAM)
 
     def background(self) -> None:
         """One round of it, the battery measured meanwhile."""
@@ -327,7 +327,7 @@ class _Board:
             self.core.call("gyro_edge_handler")
             self._finish(Step((0, 0, 0), (0, 0, 0), b"", (), armed=False))
             most = max(most, self.core.accesses(PERIPHERALS, "gyro_sample_handler"))
-            self._end(1)
+            self._end(MOTOR_STREAM)
         return most
 
     def _finish(self, step: Step) -> None:
@@ -349,8 +349,8 @@ class _Board:
 
     def _frame(self) -> tuple[int, ...]:
         """The motor values in the frame that DMA would send."""
-        slots = struct.unpack("<64I", self.core.read(self._slots, 256))
-        return tuple(_value(slots[motor::4]) for motor in range(4))
+        words = struct.unpack("<48I", self.core.read(self._words, 192))[1::3]  # each bit's second third
+        return tuple(_value([word >> MOTOR_LOW + motor & 1 for word in words]) for motor in range(4))
 
     def _peek(self, address: int) -> int:
         return int.from_bytes(self.core.read(address, 4), "little")
@@ -359,7 +359,6 @@ class _Board:
         self.core.write(address, value.to_bytes(4, "little"))
 
 
-def _value(ticks: Sequence[int]) -> int:
-    """The 11 bits that a DShot frame begins with."""
-    bits: Iterator[bool] = (tick == ONE_TICKS for tick in ticks[:11])
-    return int("".join("1" if bit else "0" for bit in bits), 2)
+def _value(ends: Sequence[int]) -> int:
+    """The 11 bits that a DShot frame begins with; 1: the bit's pulse ends after a third of it."""
+    return int("".join("0" if end else "1" for end in ends[:11]), 2)

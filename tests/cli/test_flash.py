@@ -25,6 +25,9 @@ from neuroflight.flash.image.files import Policy, read_images
 from neuroflight.flash.image.messages import image_write
 from neuroflight.flash.link.msp import Decoder, Message, encode
 from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.toolchain.boards.allocation import allocate
+from neuroflight.toolchain.boards.description import pack
+from neuroflight.toolchain.boards.table import find_board
 from neuroflight.toolchain.contract import FLASH_BANK_B, FLASH_BASE, IMAGE_LAYOUT, IMAGE_TAIL_BYTES
 from neuroflight.toolchain.image.stamp import stamp
 from neuroflight.toolchain.policy.check_stamp import RULES, stamp_document
@@ -306,10 +309,10 @@ def test_an_image_or_elf_of_another_board_is_refused(
     content = elf.read_bytes()
     names = re.finditer(b"MATEKF722\0", content)
     (at,) = [name.start() for name in names if content[name.start() - 28 :].startswith(b"NFIM")]
-    elf.write_bytes(content[:at] + b"MAMBAF405".ljust(16, b"\0") + content[at + 16 :])
+    elf.write_bytes(content[:at] + b"MAMBAF722".ljust(24, b"\0") + content[at + 24 :])
     assert "it is damaged" in refused(elf)
-    stamp(elf)
-    assert "it is built for the board MAMBAF405, and " in refused(elf)
+    stamp(board_image, pack(allocate(find_board("MAMBAF722"))), elf)
+    assert "it is built for the board MAMBAF722, and " in refused(elf)
 
 
 @pytest.mark.parametrize("suffix", [".nfi", ".elf", ".hex", ".bin"])
@@ -477,4 +480,4 @@ def test_an_image_whose_policy_a_check_found_fit_is_written(
 def test_make_adds_no_unchecked_of_its_own(word: str) -> None:
     words = ["make", "-n", "-C", str(ROOT), word, "PORT=tcp:localhost:1", "POLICY=another.onnx"]
     told = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    assert " build --target MATEKF722" in told and "unchecked" not in told
+    assert ' build --target "MATEKF722"' in told and "unchecked" not in told

@@ -114,6 +114,20 @@ def test_unfetched_logs_are_erased_when_that_is_said(
     assert (code, board.logs) == (0, []) and told.startswith("1 logs erased")
 
 
+def test_what_another_firmware_left_on_a_chip_is_erased_when_that_is_said(
+    serve: Serve, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = log_board(log_state=LogState.FAULT, log_error=LogError.FOREIGN)
+    port = serve(board)
+    code, told, _ = log(capsys, "list", "--port", port)
+    assert code == 0 and "the flash chip holds what another firmware wrote" in told
+    code, _, line = log(capsys, "erase", "--port", port, "--yes")
+    assert code == 1 and "erase --unfetched`; nothing was erased" in line and line.count("\n") == 1
+    assert board.log_error is LogError.FOREIGN
+    code, told, _ = log(capsys, "erase", "--port", port, "--unfetched", "--yes")
+    assert code == 0 and told.startswith("0 logs erased")
+
+
 def test_nothing_to_fetch_is_one_line(
     serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

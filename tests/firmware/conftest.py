@@ -68,6 +68,7 @@ HEADERS = (
     "storage/fault_log.h",
     "storage/card/card_log.h",
     "storage/card/sd_crc.h",
+    "storage/flash_chip/flash_log.h",
     "usb/usb_device.h",
     "usb/usb_serial.h",
     "usb/usb_disk.h",

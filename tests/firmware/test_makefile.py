@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 from neuroflight.toolchain.files import locked
+from neuroflight.toolchain.image.build import BOARD_FAMILY
 from tests.conftest import ROOT
 
 FIRMWARE = ROOT / "firmware"
@@ -19,7 +20,7 @@ def make(*arguments: str) -> subprocess.CompletedProcess[str]:
 def test_the_known_targets_are_listed_when_the_target_is_unknown() -> None:
     done = make("TARGET=NONSENSE")
     assert done.returncode != 0
-    assert "unknown TARGET 'NONSENSE', known are HOST MATEKF722" in done.stderr
+    assert "unknown TARGET 'NONSENSE', known are HOST STM32F722" in done.stderr
 
 
 def test_what_depends_on_a_header_is_rebuilt_when_it_changes(hexacopter_build: Path) -> None:
@@ -39,10 +40,13 @@ def test_what_depends_on_a_header_is_rebuilt_when_it_changes(hexacopter_build: P
 
 
 def test_no_image_is_compiled_again_when_only_its_dependencies_are_new(board_image: Path) -> None:
-    out = board_image.parent
-    folders = (("GENERATED", out / "generated"), ("BUILD", out / "make"))
+    out = board_image.parents[1] / BOARD_FAMILY
+    folders = (
+        *(("GENERATED", out / "generated"), ("BUILD", board_image.parent / "make")),
+        ("OBJ", out / "make" / "obj"),
+    )
     named = [f"{name}={os.path.relpath(path, FIRMWARE)}" for name, path in folders]
     (written,) = (out / "make").rglob("boot.d")  # the compiler's, behind what was compiled before it
     with locked(out):
-        plan = make("-n", "-W", os.path.relpath(written, FIRMWARE), "TARGET=MATEKF722", *named)
+        plan = make("-n", "-W", os.path.relpath(written, FIRMWARE), f"TARGET={BOARD_FAMILY}", *named)
     assert plan.returncode == 0 and " -c " not in plan.stdout

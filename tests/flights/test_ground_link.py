@@ -128,7 +128,8 @@ class TalkedTo(EmulatedPort):
         self._lines = tuple(UartLine(self.board, uart, Format(baud[uart])) for uart in UARTS)
         engine = self.board.engine
         vectors = np.frombuffer(engine.memory(engine.load(VTOR, 4), 4 * EXCEPTIONS), "<u4")
-        (self._task,) = np.flatnonzero(vectors == self.board.symbols[HANDLER] | 1).tolist()
+        # Of the interrupts that lead there a board enables one.
+        self._tasks = np.flatnonzero(vectors == self.board.symbols[HANDLER] | 1).tolist()
         peers.begin(self.board.cycle, self._send)
 
     def _attached(self, board: Board) -> Callable[[int], None]:
@@ -148,8 +149,10 @@ class TalkedTo(EmulatedPort):
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         reply = super().exchange(sample, channels_us)
         engine = self.board.engine
-        task = engine.library.engine_task(engine.handle, self._task)
-        self.counts.append((int(task.instructions), int(task.activations)))
+        tasks = [engine.library.engine_task(engine.handle, number) for number in self._tasks]
+        self.counts.append(
+            (sum(task.instructions for task in tasks), sum(task.activations for task in tasks))
+        )
         if reply.armed and self.first is None:
             self.first = reply.step
         return reply

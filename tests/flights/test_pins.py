@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -19,33 +20,49 @@ from neuroflight.flash.link.messages import arming_reasons
 from neuroflight.flash.link.records import safety
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.board import Board
-from neuroflight.sim.board.devices.gyro_chip import ICM20602, MPU6500, GyroKind
+from neuroflight.sim.board.devices.gyro_bmi import BMI270
+from neuroflight.sim.board.devices.gyro_chip import GyroKind
 from neuroflight.sim.board.devices.gyro_mount import accel_counts
-from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, GYROS
+from neuroflight.sim.board.devices.gyro_mpu import ICM20602, MPU6500
+from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, GYROS, MATEKF722
 from neuroflight.sim.board.peripherals.option_bytes import OptionBytes
 from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
 from neuroflight.sim.board.serial.idle_board import configured
 from neuroflight.sim.control import sticks
 from neuroflight.sim.ports.emulator import EmulatedPort, PortSnapshot
 from neuroflight.sim.ports.port import Sample
-from neuroflight.toolchain.contract import CALIBRATION_MS, GRAVITY, MOTOR_TEST_MAGIC, Msp
+from neuroflight.toolchain.boards import facts
+from neuroflight.toolchain.boards.allocation import allocate
+from neuroflight.toolchain.boards.description import pack
+from neuroflight.toolchain.contract import CALIBRATION_MS, GRAVITY, MOTOR_TEST_MAGIC, Alignment, Msp
 from neuroflight.toolchain.image.elf import read_flashable
+from neuroflight.toolchain.image.stamp import stamp
 from tests.sampling import sampled
 
 MOTORS = 4
 LEVEL = np.array([0.0, 0.0, GRAVITY])
 TURN = 1.0  # rad/s
-ORDINARY = (("icm20602", False), ("icm20689", False), ("icm20689", True), ("mpu9250", False))  # chip, said
+ORDINARY = (("icm20602", False), ("icm20689", False), ("icm20689", True), ("lsm6dsv16x", False))  # chip, said
 # Places in the ecosystem's app's list of gyro chips at API 1.47, which has L3G4200D and MPU3050 no more.
-_APP = "AUTO NONE MPU6050 L3GD20 MPU6000 MPU6500 MPU9250 ICM20601 ICM20602 ICM20608G ICM20649 ICM20689"
+_APP = (
+    "AUTO NONE MPU6050 L3GD20 MPU6000 MPU6500 MPU9250 ICM20601 ICM20602 ICM20608G ICM20649 ICM20689 ICM42605 "
+    "ICM42688P BMI160 BMI270 LSM6DSO LSM6DSV16X IIM42653 ICM45605 ICM45686 ICM40609D IIM42652 LSM6DSK320X"
+)
 APP_NUMBERS = {name: number for number, name in enumerate(_APP.split())}
 
 
 class Bench:
     """A board on the bench, spoken to over MSP."""
 
-    def __init__(self, flash: bytes, elf: Path, chip: GyroKind = ICM20602) -> None:
-        self.board = Board(flash, elf=elf, chip=chip)
+    def __init__(
+        self,
+        flash: bytes,
+        elf: Path,
+        chip: GyroKind = ICM20602,
+        wiring: facts.Board = MATEKF722,
+        place: int = 0,
+    ) -> None:
+        self.board = Board(flash, board=wiring, elf=elf, chip=chip, gyro_place=place)
         self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
         rng = np.random.default_rng(1)
         gyro = self.board.hardware.gyro
@@ -96,6 +113,28 @@ def test_a_disputed_gyro_arms_only_when_the_pilot_has_said_how_it_is_turned(
     assert held == (set() if known else {"GYRO_ALIGNMENT"})
 
 
+@pytest.mark.parametrize(("place", "ready"), [(0, True), (1, True), (1, False)])
+def test_the_second_gyro_flies_when_the_pilot_chooses_it_and_its_line_is_known(
+    board_image: Path, tmp_path: Path, place: int, ready: bool
+) -> None:
+    second = facts.GyroPlace(1, facts.Pin("A", 15), facts.Pin("B", 0) if ready else None, Alignment.CW90_FLIP)
+    wiring = replace(MATEKF722, gyros=(*MATEKF722.gyros, second))
+    elf = tmp_path / "neuroflight.elf"
+    stamp(board_image, pack(allocate(wiring)), elf)
+    binary = ("arm-none-eabi-objcopy", "-O", "binary", "--gap-fill", "0xFF", "--remove-section=.slot_b")
+    subprocess.run([*binary, elf, elf.with_suffix(".bin")], check=True)
+    flash = configured(read_flashable(elf.with_suffix(".bin")), elf, {"gyro_select": 1.0})
+    bench = Bench(flash, elf, MPU6500, wiring, place)
+    told = read_overview(bench.client).flight
+    taken, held = bench.board.hardware.gyro.samples, bench.reasons()
+    bench.board.close()
+    assert told is not None
+    chosen = place == 1 and ready
+    assert (told.gyro_chip == "MPU6500 (0x70)") is chosen
+    assert (taken > 0) is chosen
+    assert ("GYRO_BAD" in held) is not chosen
+
+
 @pytest.mark.parametrize("level", sampled(range(4), 0, 3))
 def test_the_level_of_the_brown_out_detector_is_told(board_image: Path, level: int) -> None:
     options = OptionBytes()
@@ -112,19 +151,31 @@ def test_the_level_of_the_brown_out_detector_is_told(board_image: Path, level: i
 
 @pytest.mark.parametrize(
     ("identity", "told"),
-    [(0x68, "unknown chip (0x68)"), (0xFF, "no chip answers (0xFF)"), (0x00, "")],
+    [(0x19, "unknown chip (0x19)"), (0xFF, "no chip answers (0xFF)"), (0x00, "")],
 )
 def test_a_chip_that_is_not_known_is_told_by_its_number_and_forbids_arming(
     board_image: Path, identity: int, told: str
 ) -> None:
     flash = read_flashable(board_image.with_suffix(".bin"))
-    bench = Bench(flash, board_image, replace(ICM20602, who_am_i=identity))
+    bench = Bench(flash, board_image, replace(ICM20602, who_am_i=identity, trim=0x11))
     overview = read_overview(bench.client)
     bench.board.close()
     assert overview.flight is not None and overview.flight.gyro_chip == told
     hint = overview.arming_reasons["GYRO_BAD"]
     known = "ICM20602 (0x12)"
-    assert (known in hint) is (identity == 0x68)
+    assert (known in hint) is (identity == 0x19)
+    assert "BMI270" not in hint
+
+
+def test_a_bmi270_is_told_by_name_and_why_it_does_not_fly(board_image: Path) -> None:
+    bench = Bench(read_flashable(board_image.with_suffix(".bin")), board_image, BMI270)
+    overview = read_overview(bench.client)
+    hardware = bench.client.request(Msp.SENSOR_CONFIG_ACTIVE)[0]
+    samples = bench.board.hardware.gyro.samples
+    bench.board.close()
+    assert overview.flight is not None and overview.flight.gyro_chip == "BMI270 (0x24)"
+    assert "configuration file" in overview.arming_reasons["GYRO_BAD"]
+    assert (hardware, samples) == (APP_NUMBERS["BMI270"], 0)
 
 
 @pytest.fixture(scope="module")

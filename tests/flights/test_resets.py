@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,8 @@ from neuroflight.flash.link.msp import encode, request
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.esc import Frame
-from neuroflight.sim.board.devices.gyro_chip import ICM20689, MPU6500, GyroKind
+from neuroflight.sim.board.devices.gyro_chip import GyroKind
+from neuroflight.sim.board.devices.gyro_mpu import ICM20689, MPU6500, MpuKind
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
 from neuroflight.toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_FAULT_RECORD, MSP_BAUD_DEFAULT, Msp
@@ -23,7 +24,17 @@ from neuroflight.toolchain.image.elf import read_flashable
 BOUND_S = 0.02  # from a reset to the first frame of each motor
 PAUSE_S = 0.012  # between two frames of a motor, up to the second in which flash may be written
 MOTORS = 4
-ABSENT = replace(MPU6500, name="nothing", who_am_i=0xFF)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nothing(MpuKind):
+    """A place without a chip: its bus reads high whatever is asked, and knows no write."""
+
+    def told(self, register: int) -> int:
+        return 0xFF
+
+
+ABSENT = Nothing(name="nothing", who_am_i=0xFF, data_hz=20_000_000, counts_per_degree=1.0, zero_deg_c=0.0)
 CHIPS = {"mpu6500": MPU6500, "icm20689": ICM20689, "absent": ABSENT}
 
 

@@ -101,7 +101,8 @@ class Counted(EmulatedPort):
         super().__init__(image, attach=self._plug)
         engine = self.board.engine
         vectors = np.frombuffer(engine.memory(engine.load(VTOR, 4), 4 * EXCEPTIONS), "<u4")
-        (self._task,) = np.flatnonzero(vectors == self.board.symbols[HANDLER] | 1).tolist()
+        # Of the interrupts that lead there a board enables one.
+        self._tasks = np.flatnonzero(vectors == self.board.symbols[HANDLER] | 1).tolist()
 
     def _plug(self, board: Board) -> Callable[[int], None]:
         if self._flood != "none":
@@ -113,8 +114,10 @@ class Counted(EmulatedPort):
         if reply.armed and self.flooder is not None and self.flooder.begun is None:
             self.flooder.begin()
         engine = self.board.engine
-        task = engine.library.engine_task(engine.handle, self._task)
-        self.counts.append((int(task.instructions), int(task.activations)))
+        tasks = [engine.library.engine_task(engine.handle, number) for number in self._tasks]
+        self.counts.append(
+            (sum(task.instructions for task in tasks), sum(task.activations for task in tasks))
+        )
         return reply
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from neuroflight.toolchain.boards.facts import Board, Bus, Chip, GyroPlace, Pin, Uart
-from neuroflight.toolchain.boards.gyro_kinds import FLOWN, with_kin
+from neuroflight.toolchain.boards.gyro_kinds import NOT_FLOWN, with_kin
 from neuroflight.toolchain.boards.processor import (
     ADC_CHANNELS,
     FUNCTIONS,
@@ -21,7 +21,7 @@ from neuroflight.toolchain.boards.processor import (
     Stream,
 )
 from neuroflight.toolchain.contract import BOARD_MOTOR_PORTS_MAX, MOTOR_COUNT_MAX, BoardLog
-from neuroflight.toolchain.errors import BoardError
+from neuroflight.toolchain.errors import WiringError
 
 MSP_USUAL, RECEIVER_USUAL, SECOND_USUAL = 1, 2, 3
 MOTORS_NEEDED = 4  # where the board has as many: further ones give way
@@ -76,14 +76,14 @@ class _Roles:
 def allocate(board: Board, receiver: int | None = None) -> Allocation:
     """Decide what serves what. receiver: UART that the user wired one to, in place of the usual.
 
-    Raises BoardError: one line with every part that has to be served and is not.
+    Raises WiringError: one line with every part that has to be served and is not.
     """
     faults = [*_gyro_faults(board), *_motor_faults(board)]
     claims: _Claims = dict.fromkeys(USB_PINS, "USB")
     for part, pins in _needed(board):
         faults += _claim(claims, part, pins)
     if faults:
-        raise BoardError(f"{board.name}: " + "; ".join(dict.fromkeys(faults)))
+        raise WiringError(f"{board.name}: " + "; ".join(dict.fromkeys(faults)))
     receivers = _receivers(board, claims, receiver)
     log = _log_fault(board, claims)
     # The gyro, the first motors and one receiver alone find streams on every board.
@@ -109,7 +109,12 @@ def allocate(board: Board, receiver: int | None = None) -> Allocation:
         if pin is not None and not why:
             claims[pin] = part
     kinds = with_kin(board.gyro_kinds)
-    left += [f"gyro {kind}: no driver" for kind in kinds if kind not in FLOWN]
+    left += [f"gyro {kind}: not flown" for kind in kinds if kind in NOT_FLOWN]
+    if board.turned:
+        left.append(
+            f"the turn of the board that its maker sets ({board.turned}): set board_roll_deg, "
+            "board_pitch_deg and board_yaw_deg, then gyro_alignment; it does not arm before"
+        )
     return Allocation(
         board=board,
         gyro_kinds=kinds,
@@ -152,8 +157,8 @@ def _gyro_faults(board: Board) -> Iterator[str]:
     if not kinds:
         told = ", ".join(board.gyro_kinds) or "none"
         yield f"its gyro is not one that the firmware knows: {told}"
-    elif not set(kinds) & set(FLOWN):
-        yield f"the firmware has no driver for its gyro: {', '.join(kinds)}"
+    elif all(kind in NOT_FLOWN for kind in kinds):
+        yield f"its gyro is not flown, {kinds[0]}: {NOT_FLOWN[kinds[0]]}"
     gyro = board.gyros[0]
     if gyro.ready is None:
         yield "the data-ready line of its gyro is not told, and the control loop runs by it"
@@ -216,17 +221,17 @@ def _unusable(claims: Mapping[Pin, str], part: str, pin: Pin | None) -> str | No
 
 # --- What may be served in several ways -----------------------------------------------------------------
 def _receivers(board: Board, claims: Mapping[Pin, str], wanted: int | None) -> list[int]:
-    """Return the UARTs that can hear a receiver, the preferred first. Raises BoardError: there is none."""
+    """Return the UARTs that can hear a receiver, the preferred first. Raises WiringError: there is none."""
     able = [n for n in sorted(board.uarts) if _has(board, claims, n, "RX")]
     if wanted is not None:
         if wanted not in able:
-            raise BoardError(
+            raise WiringError(
                 f"{board.name}: UART{wanted} cannot hear a receiver, expected one of "
                 f"{', '.join(f'UART{n}' for n in able) or 'none'}"
             )
         return [wanted]
     if not able:
-        raise BoardError(f"{board.name}: it brings out no UART that could hear a receiver")
+        raise WiringError(f"{board.name}: it brings out no UART that could hear a receiver")
     return _first(able, board.receiver, RECEIVER_USUAL)
 
 
@@ -267,10 +272,8 @@ def _choices(
 def _log_fault(board: Board, claims: Mapping[Pin, str]) -> str | None:
     """Return why the chip for logs cannot be used whatever else is; None: it may, or there is none."""
     chip = board.log_chip
-    if board.log_kind is BoardLog.NONE:
+    if board.log_kind is BoardLog.NONE or chip is None:
         return "log: no chip is told that keeps one"
-    if chip is None:
-        return "log: where its chip is wired to is not told"
     if chip.spi == board.gyros[0].spi:
         return f"log: its chip shares SPI{chip.spi} with the gyro, which has it alone"
     bus = board.buses.get(chip.spi)

@@ -11,7 +11,6 @@ from typing import Any
 
 from neuroflight.toolchain.boards.allocation import Allocation, bus_functions, uart_function
 from neuroflight.toolchain.boards.facts import Bus, Chip, GyroPlace, Pin, Uart
-from neuroflight.toolchain.boards.gyro_kinds import GYRO_CHIPS
 from neuroflight.toolchain.boards.processor import Stream
 from neuroflight.toolchain.contract import (
     BOARD_FORMAT,
@@ -22,12 +21,14 @@ from neuroflight.toolchain.contract import (
     BOARD_NO_PIN,
     BOARD_SPI_COUNT,
     BOARD_STRUCTS,
+    IMAGE_TABLE_OFFSET,
     MOTOR_COUNT_MAX,
     BoardLog,
+    GyroChip,
     HeaderField,
     struct_format,
 )
-from neuroflight.toolchain.errors import BoardError
+from neuroflight.toolchain.errors import WiringError
 
 Values = Mapping[str, Any]  # of a struct by field; an array is a list, a struct a mapping
 BOARD_BYTES = struct.calcsize(BOARD_FORMAT)
@@ -45,7 +46,8 @@ def pack(allocation: Allocation) -> bytes:
         "bytes": BOARD_BYTES,
         "name": board.name,
         "maker": board.maker,
-        "gyro_kinds": sum(1 << GYRO_CHIPS.index(kind) for kind in allocation.gyro_kinds),
+        # Where the maker turns the board, no chip's turn is taken for granted: the pilot tells it first.
+        "gyro_kinds": 0 if board.turned else sum(1 << GyroChip[kind] for kind in allocation.gyro_kinds),
         "gyros": _filled([_gyro(place) for place in allocation.gyros], BOARD_GYRO_COUNT, _NO_CHIP),
         "log_chip": _chip(allocation.log_chip),
         "osd": _chip(allocation.osd),
@@ -80,17 +82,29 @@ def pack(allocation: Allocation) -> bytes:
 
 
 def unpack(data: bytes) -> dict[str, Any]:
-    """Return the fields of a description by name. Raises BoardError, one line: it is none of this layout."""
+    """Return the fields of a description by name. Raises WiringError, one line: it is none of this layout."""
     if len(data) != BOARD_BYTES:
-        raise BoardError(f"a board's description of {len(data)} bytes, expected {BOARD_BYTES}")
+        raise WiringError(f"a board's description of {len(data)} bytes, expected {BOARD_BYTES}")
     values = _decoded(BOARD_STRUCTS["board"], data)
     told = values["magic"], values["layout"], values["bytes"]
     if told != (BOARD_MAGIC, BOARD_LAYOUT, BOARD_BYTES):
-        raise BoardError(
+        raise WiringError(
             f"magic {told[0]:#x}, layout {told[1]}, {told[2]} bytes are no board's description, expected "
             f"{BOARD_MAGIC:#x}, {BOARD_LAYOUT}, {BOARD_BYTES}"
         )
     return values
+
+
+def described_receiver(bank: bytes) -> int | None:
+    """Return the UART at which an image listens to a receiver; None: it tells none.
+
+    bank: content of flash from the bank's begin on.
+    """
+    try:
+        told = unpack(bank[IMAGE_TABLE_OFFSET : IMAGE_TABLE_OFFSET + BOARD_BYTES])
+    except WiringError:
+        return None
+    return told["receiver"]["number"] or None
 
 
 def _pin(pin: Pin | None) -> int:

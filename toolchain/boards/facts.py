@@ -99,3 +99,6 @@ class Board:
     amps: Pin | None
     volts_scale: int  # [0.1], volts at the pack for one at the pin
     amps_scale: int  # [0.1 mV/A]
+    turned: str = (
+        ""  # Betaflight's align_board_* that its maker sets beside the gyro's turn: roll 180, yaw 90
+    )

@@ -2,7 +2,7 @@
 
 Its wiring is that of the configurations which makers have published for Betaflight, as of August 2026. All
 have a crystal of 8 MHz. Of a second gyro it tells the chip select alone; and what a configuration calls by a
-name of its own instead of a pin's is not told.
+name of its own instead of a pin's is not told. MATEKF722's gyros are those whose turn no source disputes.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from typing import TypeVar
 
 from neuroflight.toolchain.boards.facts import Board, Bus, Chip, GyroPlace, Pin, Uart
 from neuroflight.toolchain.contract import BoardLog
-from neuroflight.toolchain.errors import BoardError
+from neuroflight.toolchain.errors import WiringError
 
 TABLE = Path(__file__).with_name("boards.csv")
 NEAR = 3  # names that an unknown one is answered with
 DIVIDER_USUAL = 110  # [0.1] of the battery's voltage, where a configuration says nothing
+_LOGS = {"": (BoardLog.NONE, ""), "sdcard": (BoardLog.CARD, "sd"), "flash": (BoardLog.FLASH, "flash")}
 _SERIAL = ("SERIAL_PORT_USART", "SERIAL_PORT_UART")
 _T = TypeVar("_T")
 
@@ -33,27 +34,30 @@ def boards() -> Mapping[str, Board]:
 
 
 def find_board(name: str) -> Board:
-    """Return the board of that name, in capitals or not. Raises BoardError, one line with names alike."""
+    """Return the board of that name. Raises WiringError, one line with names alike."""
     known = boards()
-    board = known.get(name) or known.get(name.upper())
-    if board is None:
+    if name not in known:
         near = difflib.get_close_matches(name[:60].upper(), known, NEAR, cutoff=0.5)
         alike = f", did you mean {' or '.join(near)}?" if near else ";"
-        raise BoardError(
+        raise WiringError(
             f"unknown board {name[:60]!r}{alike} `neuroflight board target list` names all {len(known)}; "
             "`neuroflight board target import` makes a target of a board's own configuration"
         )
-    return board
+    return known[name]
 
 
 def alignment_code(text: str) -> int:
-    """Return the number of CW90_DEG_FLIP: quarter turns clockwise, and 4 for _FLIP. Raises ValueError."""
-    degrees = text.removeprefix("CW").removesuffix("_FLIP").removesuffix("_DEG")
+    """Return the number of CW90FLIP or CW90_DEG_FLIP: quarter turns clockwise, and 4 for FLIP.
+
+    Raises ValueError.
+    """
+    flip = text.endswith("FLIP")
+    degrees = text.removeprefix("CW").removesuffix("FLIP").removesuffix("_").removesuffix("_DEG")
     if not text.startswith("CW") or degrees not in ("0", "90", "180", "270"):
         raise ValueError(
             f"alignment {text[:60]!r}, expected CW0_DEG, CW90_DEG, CW180_DEG, CW270_DEG or with _FLIP"
         )
-    return int(degrees) // 90 + 4 * text.endswith("_FLIP")
+    return int(degrees) // 90 + 4 * flip
 
 
 def _board(row: Mapping[str, str]) -> Board:
@@ -65,8 +69,8 @@ def _board(row: Mapping[str, str]) -> Board:
         if row["gyro2_cs"]:
             gyros += (GyroPlace(gyro_spi, Pin.of(row["gyro2_cs"]), None, 0),)
     kind, _, flash = row["blackbox"].partition(":")
-    log_kind = {"": BoardLog.NONE, "sdcard": BoardLog.CARD, "flash": BoardLog.FLASH}[kind]
-    place = {BoardLog.NONE: "", BoardLog.CARD: "sd", BoardLog.FLASH: "flash"}[log_kind]
+    log_kind, place = _LOGS[kind]
+    log_chip = _chip(row, place) if place else None
     return Board(
         name=row["board"],
         maker=row["maker"],
@@ -79,19 +83,20 @@ def _board(row: Mapping[str, str]) -> Board:
         },
         receiver=_given(row["serial_rx"], _serial),
         motors=tuple(Pin.of(row[f"motor{i}"]) for i in range(1, 9) if row[f"motor{i}"]),
-        log_kind=log_kind,
-        log_chip=_chip(row, place) if place else None,
-        flash_kinds=tuple(flash.split("/")) if flash else (),
+        log_kind=log_kind if log_chip else BoardLog.NONE,
+        log_chip=log_chip,
+        flash_kinds=tuple(flash.split("/")) if flash and log_chip else (),
         osd=_chip(row, "osd"),
         led=_given(row["led0"], Pin.of),
         led_high=row["led_inverted"] == "yes",  # inverted against Betaflight's usual one, which low lights
         beeper=_given(row["beeper"], Pin.of),
-        beeper_high=row["beeper_inverted"] == "yes",
+        beeper_high=bool(row["beeper"]) and row["beeper_inverted"] == "yes",
         usb_supply=_given(row["usb_detect"], Pin.of),
         volts=_given(row["vbat"], Pin.of),
         amps=_given(row["current"], Pin.of),
         volts_scale=int(row["vbat_scale"] or DIVIDER_USUAL),
         amps_scale=int(row["current_scale"] or 0),
+        turned=row["turned"],
     )
 
 

@@ -13,18 +13,18 @@ class LogDevice(IntEnum):
 
     NONE = 0
     SERIAL = 1  # UART3, where uart3_function says blackbox
-    CARD = 2  # the SD card; on the host program the file of --blackbox
+    CARD = 2  # the board's SD card or flash chip; on the host program the file of --blackbox
 
 
 class LogState(IntEnum):
     """States of the log's device."""
 
     ABSENT = 0  # no device, or none set
-    STARTING = 1  # being checked
+    STARTING = 1  # being checked, or erased
     READY = 2
     LOGGING = 3
     ENDING = 4  # the last bytes of a log are on their way
-    FULL = 5  # no empty file is left
+    FULL = 5  # no empty file, or no room on the flash chip, is left
     FAULT = 6  # as LogError says
 
 
@@ -32,13 +32,15 @@ class LogError(IntEnum):
     """Reasons why the device cannot take a log, or lost a part of one."""
 
     NONE = 0
-    NO_CARD = 1  # nothing answers
+    NO_CARD = 1  # nothing answers, neither a card nor a flash chip
     CARD = 2  # wrong answers of the card
     FILE_SYSTEM = 3  # not FAT32, or not a sound one
     NO_FILE = 4  # no file for logs: `neuroflight log card` makes them
     FRAGMENTED = 5  # a file for logs does not lie in one piece
     WRITE = 6  # the card refused a write, or took too long
     READ = 7
+    CHIP = 8  # a flash chip that the firmware does not know
+    FOREIGN = 9  # a flash chip holds what another firmware wrote, or remains of it
 
 
 class LogGroup(IntEnum):
@@ -54,6 +56,7 @@ class LogGroup(IntEnum):
     ACC = 9
     DEBUG = 10  # chirp, action, observation
     MOTOR = 11
+    RPM = 13  # rotor speeds that ESCs tell
     GYRO_UNFILTERED = 14
     EXACT = 16  # gyro, setpoint and throttle as the controller had them, to the bit
     REPLAY = 17  # all inputs of the control path
@@ -79,7 +82,7 @@ LOG_DIVIDERS = (1, 2, 4, 8, 16)  # of the control rate, the setting blackbox_div
 LOG_FILE_PREFIX, LOG_FILE_SUFFIX = "LOG", ".BBL"  # LOG00001.BBL ..
 LOG_NUMBER_MAX = 99_999
 LOG_FILE_MIB, LOG_FILE_MIB_MAX = 64, 4095  # at 100 kB/s 11 minutes; FAT32's limit is 4 GB less one byte
-LOG_ERASE_MAGIC = 0x45534152  # "RASE", little-endian: blanks all logs of the card
+LOG_ERASE_MAGIC = 0x45534152  # "RASE", little-endian: blanks all logs of the card or flash chip
 LOG_NAME_BYTES = 12  # of a log's file: 8.3
 LOG_INFO_LOGGING, LOG_INFO_LOSSY = 0x01, 0x02  # flags: being written; current or last one lacks steps
 LOG_INFO_LOOKING = 0x04  # still looking for files: there may be more logs

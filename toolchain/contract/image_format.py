@@ -1,9 +1,9 @@
 """An image in its bank: the header behind its vectors, and the state that the board keeps at the bank's end.
 
-A bank is a sector of flash: vectors | header | code and constants | erased | state. The header's CRC-32
-covers the image from the bank's first byte to `image_bytes`, its own four bytes left out. The state's
-words are erased with the bank and written one by one; each is of use only as a whole, so that a loss of
-power leaves the old state or the new one.
+A bank is a sector of flash: vectors | header | board's description (board_format.py) | code and constants |
+erased | state. The same code flies on every board. The header's CRC-32 covers the image from the bank's first
+byte to `image_bytes`, its own four bytes left out. The state's words are erased with the bank and written one
+by one; each is of use only as a whole, so that a loss of power leaves the old state or the new one.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ __all__ = [
     "IMAGE_STARTS_MAX",
     "IMAGE_STATE_FIELDS",
     "IMAGE_STATE_FORMAT",
+    "IMAGE_TABLE_OFFSET",
     "IMAGE_TAIL_BYTES",
     "ImageHeader",
     "image_checksum",
@@ -37,9 +38,9 @@ __all__ = [
     "image_header",
 ]
 IMAGE_MAGIC = 0x4D49464E  # "NFIM"
-IMAGE_LAYOUT = 2  # of header, state and flash map; boot part and image must have the same
+IMAGE_LAYOUT = 3  # of header, state and flash map; boot part and image must have the same
 IMAGE_HEADER_OFFSET = 512  # bytes from the bank's begin: behind the vectors
-IMAGE_BOARD_BYTES = 16
+IMAGE_BOARD_BYTES = 24  # BOARD_NAME_BYTES
 IMAGE_STARTS_MAX = 2  # of an image that was not confirmed; then the other bank's is started
 # An image on probation is confirmed after its control steps and policy have run well for the first time. It
 # gives up if that has not happened within the second time, silences of the gyro not counted.
@@ -67,6 +68,7 @@ IMAGE_FIELDS = (
     HeaderField("uint16_t", "action_count", "floats", ""),
 )
 IMAGE_HEADER_FORMAT = "<" + "".join(field.format for field in IMAGE_FIELDS)
+IMAGE_TABLE_OFFSET = IMAGE_HEADER_OFFSET + struct.calcsize(IMAGE_HEADER_FORMAT)  # of the board's description
 
 # At the end of the bank. A flag is set by a word of zeros. The bank's number stands in the first entry of
 # `numbers` whose second word is the first one's complement. A loss of power may spoil an entry: what it

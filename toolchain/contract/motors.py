@@ -27,6 +27,30 @@ ESC_STANDS = ESC_WORD_MAX
 ESC_MANTISSA_BITS = 9
 ESC_PERIOD_MAX_US = 510 << 7  # of a rotor that turns; a slower one is told to stand
 MOTOR_POLES_DEFAULT = 14  # magnets of a motor's bell
+# A word beyond physics is noise that looks like an answer. No propeller turns faster, and none gains or loses
+# speed faster: the quickest of our twins does a fifth of that. The word's own step comes on top.
+ROTOR_SPEED_MAX = 10_000.0  # [rad/s]
+ROTOR_ACCELERATION_MAX = 250_000.0  # [rad/s^2]
+ROTOR_HOLD_MS = 8  # without a good word the last speed holds so long; then the ESC counts as silent
+
+
+DYNAMIC_IDLE_MAX = 0.1  # output that a dynamic idle adds at most: it lifts no aircraft
+# A motor is weak that gives less than this share of the speed that the best one gives for its output, both
+# behind a low-pass, for this time. On our twins the curve of speed over output makes 0.64 of 1 between a
+# tenth of the output and all of it.
+WEAK_MOTOR_SHARE, WEAK_MOTOR_MS, WEAK_MOTOR_FILTER_MS = 0.5, 300, 100
+
+
+class EscTold(IntEnum):
+    """Other words of ESCs, extended telemetry: a byte of each kind. Their upper bits are 2 (kind + 1), 0."""
+
+    TEMPERATURE = 0  # degC
+    VOLTAGE = 1  # 0.25 V
+    CURRENT = 2  # A
+    DEBUG_1 = 3
+    DEBUG_2 = 4
+    STRESS = 5
+    STATE = 6  # bits of alerts, and the highest stress so far
 
 
 class DshotCommand(IntEnum):

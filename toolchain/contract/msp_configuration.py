@@ -33,7 +33,6 @@ METER_ID = 10  # of the only battery
 CELL_FULL_CENTIVOLTS = 435  # above it there is one cell more: firmware/src/housekeeping/battery.c
 GYRO_COUNTS_PER_DEG_S = 16.4
 PRESENT, ABSENT_PART = 0, 1  # a sensor of whatever make; none
-MOTOR_POLES = 14  # the ecosystem's default; nothing here depends on it
 
 
 # --- Power ---------------------------------------------------------------------------------------
@@ -45,7 +44,7 @@ _VOLTAGE_METER = (
 )
 _CURRENT_METER = (
     bound("u8", "id", METER_ID),
-    bound("i16", "scale", scaled("current_scale", 10), "0.1 mV/A"),
+    bound("i16", "scale", source(MspSource.CURRENT), "0.1 mV/A"),
     bound("i16", "offset", 0, "mA"),
 )
 _POWER = (
@@ -157,7 +156,9 @@ _ADVANCED = (
     *zeros("u16", "pwm_rate"),
     bound("u16", "motor_idle", MspSource.IDLE, "0.01 %", "of the controller that flies"),
     *ignored("u8", "gyro_32khz"),
-    *zeros("u8", "pwm_inversion gyro_to_use gyro_high_range"),
+    *zeros("u8", "pwm_inversion"),
+    bound("u8", "gyro_to_use", scaled("gyro_select"), "", "0 first, 1 second"),
+    *zeros("u8", "gyro_high_range"),
     bound("u8", "calibration_threshold", round(CALIBRATION_MOTION_DEG_S * GYRO_COUNTS_PER_DEG_S), "counts"),
     bound("u16", "calibration_time", CALIBRATION_MS // 10, "0.01 s"),
     *zeros("u16", "gyro_yaw_offset"),
@@ -169,14 +170,17 @@ _MOTOR = (
     bound("u16", "throttle_max", 2000, "us"),
     bound("u16", "command_min", 1000, "us"),
 )
-_MOTOR_REST = (bound("u8", "poles", MOTOR_POLES), *zeros("u8", "dshot_telemetry"))
+_MOTOR_REST = (
+    bound("u8", "poles", scaled("motor_poles")),
+    bound("u8", "dshot_telemetry", scaled("motor_telemetry"), "", "1: bidirectional DShot"),
+)
 _ALIGNMENT = (
     bound(
         "u8",
         "gyro_align",
         scaled("gyro_alignment"),
         "",
-        "0 the board's, 1 to 4: turned by 0, 90, 180, 270 deg",
+        "0 the board's, 1 to 4: turned by 0, 90, 180, 270 deg, 5 to 8: flipped besides",
     ),
     told("u8", "acc_align", scaled("gyro_alignment"), "", "as gyro_align: one chip has both"),
     *zeros("u8", "mag_align"),
@@ -193,7 +197,8 @@ _GYRO = bound(
     "gyro_hardware",
     MspSource.GYRO_HARDWARE,
     "",
-    "5 MPU6500, 6 MPU9250, 7 ICM20601, 8 ICM20602, 9 ICM20608G, 11 ICM20689, 0 another",
+    "4 MPU6000, 5 MPU6500, 6 MPU9250, 7 ICM20601, 8 ICM20602, 9 ICM20608G, 11 ICM20689, 12 ICM42605, "
+    "13 ICM42688P, 15 BMI270, 17 LSM6DSV16X, 23 LSM6DSK320X, 0 another",
 )
 _SENSORS = (
     bound("u8", "acc_hardware", PRESENT, "", "0 any, 1 none"),
@@ -202,7 +207,9 @@ _SENSORS = (
     *zeros("u8", "range_finder_hardware optical_flow_hardware"),
 )
 _BLACKBOX = (
-    bound("u8", "device", choice("blackbox_device", 0, 3, 2), "", "0 none, 2 SD card, 3 serial"),
+    bound(
+        "u8", "device", choice("blackbox_device", 0, 3, 2), "", "0 none, 2 SD card or flash chip, 3 serial"
+    ),
     bound("u8", "rate_numerator", 1),
     told("u8", "rate_denominator", scaled("blackbox_divider"), "", "as sample_rate, which counts"),
     told("u16", "p_denominator", MspSource.LOG_INTRA, "frames", "the same, from one I frame to the next"),

@@ -52,6 +52,7 @@ class MspSource(IntEnum):
     LOG_INTRA = 20  # frames from one that stands alone to the next
     LOG_FIELDS_OFF = 21  # groups of fields that no log has; those that the ecosystem knows
     LOG_CARD = 22  # argument: 0 state, 1 error, 2 free, 3 total [KB] of the card for logs
+    CURRENT = 24  # scale of the current sensor, 0.1 mV/A
     GYRO_HARDWARE = 23  # the ecosystem's number of the gyro chip; 0: it has none
 
 

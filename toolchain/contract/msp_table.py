@@ -403,6 +403,22 @@ class Msp(IntEnum):
     )
     MOTOR_CONFIG = 131
     COMPASS_CONFIG = 133
+    MOTOR_TELEMETRY = tells(
+        139,
+        MspGroup(
+            "motors",
+            (
+                u32("speed", "rpm", "as the ESC told it last"),
+                u16("errors", "0.01 %", "of its answers in the second before; 10000: it is silent"),
+                u8("temperature", "deg C"),
+                u16("voltage", "0.01 V"),
+                u16("current", "0.01 A"),
+                u16("drawn", "mAh"),
+            ),
+            counted=True,
+            meaning="by motor; 0 what its ESC does not tell",
+        ),
+    )
     SIMPLIFIED_TUNING = configures(140, _R.ABSENT, note="where the filters are a chain that it cannot say")
     SET_SIMPLIFIED_TUNING = 141
     VALIDATE_SIMPLIFIED_TUNING = 145
@@ -545,6 +561,7 @@ class Msp(IntEnum):
         u8("gyro_identity", "", "WHO_AM_I of the gyro chip, known or not; 0: nothing was read"),
         u8("brown_out", "", "the detector's level + 1, 1: it is off; 0: not told"),
         u8("airborne", "", "1: it has taken off since it was armed"),
+        u8("gyro_chip", "", "its number + 1, see Numbers; 0: none that is known"),
         required=12,
     )
     # all logged faults, and the policy that was refused in flight
@@ -763,7 +780,7 @@ class Msp(IntEnum):
                 "2 files are still being looked at: there may be more",
             ),
             u16("logs", "", "that can be read"),
-            u16("empty", "", "files that can take a log"),
+            u16("empty", "", "files that can take a log; of a flash chip: how many logs there is room for"),
             u32("capacity", "KiB", "of all files for logs"),
             u32("free", "KiB", "of the empty ones"),
             u32("frames", "", "of the current or last log"),

@@ -40,7 +40,7 @@ OBSERVATION_BLOCKS = (
     ObservationBlock("rate_error_integral", 4, Width.AXES, "rad", "sum of rate_error dt, clamped"),
     ObservationBlock("previous_action", 5, Width.MOTORS, "1", "the policy's last output"),
     ObservationBlock("throttle", 6, Width.SCALAR, "1", "the pilot's thrust, 0..1"),
-    ObservationBlock("rotor_speed", 7, Width.MOTORS, "rad/s", "of each motor", in_firmware=False),
+    ObservationBlock("rotor_speed", 7, Width.MOTORS, "rad/s", "as the motors' ESCs tell it"),
     ObservationBlock("gravity", 8, Width.AXES, "1", "where down is, body axes", in_firmware=False),
     ObservationBlock(
         "previous_motors",
@@ -52,8 +52,12 @@ OBSERVATION_BLOCKS = (
     ObservationBlock("rotor_estimate", 10, Width.MOTORS, "rad/s", "modelled speed less that at rest"),
     ObservationBlock("rate_estimate", 11, Width.AXES, "rad/s", "predicted by the model, corrected by gyro"),
     ObservationBlock("rate_estimate_error", 12, Width.AXES, "rad/s", "setpoint - rate_estimate"),
+    # With it among the terms the model's rotors are the measured ones: rate_estimate is predicted from them.
+    ObservationBlock("rotor_measured", 13, Width.MOTORS, "rad/s", "ESCs' speed less that at rest"),
 )
-MODEL_BLOCKS = ("rotor_estimate", "rate_estimate", "rate_estimate_error")  # made by a model of the aircraft
+# Made by a model of the aircraft.
+MODEL_BLOCKS = ("rotor_estimate", "rate_estimate", "rate_estimate_error", "rotor_measured")
+ESC_BLOCKS = frozenset({"rotor_speed", "rotor_measured"})  # made of what ESCs tell
 RATE_ERROR_INTEGRAL_LIMIT_RAD = 0.6
 OBSERVATION_COUNT_MAX = 64
 OBSERVATION_TERMS_MAX = 32
@@ -150,6 +154,21 @@ def _observation_term(text: str) -> ObservationTerm:
 def needs_model(terms: tuple[ObservationTerm, ...]) -> bool:
     """Return True if a policy that observes `terms` needs the constants of a model of its aircraft."""
     return any(term.name in MODEL_BLOCKS for term in terms)
+
+
+def welcomes_model(terms: tuple[ObservationTerm, ...]) -> bool:
+    """Return True if the firmware takes what an ESC does not tell from a model, if the policy has one."""
+    return hears_rotors(terms)
+
+
+def hears_rotors(terms: tuple[ObservationTerm, ...]) -> bool:
+    """Return True if a policy that observes `terms` sees what ESCs tell."""
+    return any(term.name in ESC_BLOCKS for term in terms)
+
+
+def measures_rotors(terms: tuple[ObservationTerm, ...]) -> bool:
+    """Return True if the rotors of the model of a policy that observes `terms` are the measured ones."""
+    return any(term.name == "rotor_measured" for term in terms)
 
 
 def observation_count(terms: tuple[ObservationTerm, ...], motors: int) -> int:

@@ -165,6 +165,7 @@ class FallbackCause(IntEnum):
     NO_RESPONSE = 5  # a distant axis did not turn towards its setpoint
     OSCILLATION = 6
     WEIGHTS = 7  # a weight in memory differs from flash
+    ROTORS = 8  # it observes rotor speeds, an ESC is silent, and it has no model to take them from
 
 
 class GyroHealth(IntEnum):

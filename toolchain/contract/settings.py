@@ -19,6 +19,7 @@ from neuroflight.toolchain.contract.frame_time_sensors import (
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     MOTOR_COUNT_MAX,
+    Alignment,
 )
 from neuroflight.toolchain.contract.modes import (
     MODE_LOW_US,
@@ -95,6 +96,8 @@ _PARAMETERS = {  # of settings with a name of more than the 16 characters of MAV
     "dynamic_notch_count": "dyn_notch_count",
     "dynamic_notch_low_hz": "dyn_notch_low_hz",
     "dynamic_notch_high_hz": "dyn_notch_hi_hz",
+    "rpm_filter_harmonics": "rpm_harmonics",
+    "rpm_filter_min_hz": "rpm_min_hz",
     "receiver_protocol": "rx_protocol",
     "failsafe_throttle": "fs_throttle",
     "failsafe_descend_ms": "fs_descend_ms",
@@ -166,6 +169,7 @@ _MODE_DEFAULTS = {  # a switch's upper position, as on most transmitters
 }
 _DEVICES = tuple(device.name.lower() for device in LogDevice)
 _FILTERS = tuple(kind.name.lower() for kind in FilterKind)
+_ALIGNMENTS = ("board", *(alignment.name.lower() for alignment in Alignment))
 FILTER_STAGES = 4
 # Of the whole chain of gyro filters, for slow motion. Flown in the twin, the NF1's PID swings from 3.75 ms on
 # behind a biquad, later behind the others.
@@ -204,6 +208,7 @@ _BEEPS = {
     "battery_low": "the battery is low: land now",
     "fault": "a fault that nobody acknowledged",
     "policy_refused": "the policy was refused in flight",
+    "motor": "a motor is weak or its ESC silent: its number",
     "battery_warn": "the battery's warning",
     "armed": "when armed",
     "disarmed": "when disarmed",
@@ -211,7 +216,8 @@ _BEEPS = {
 _ARMING_DELAY_MEANING = "from power-up until arming is allowed: longer than the ESCs' start-up tunes"
 SETTINGS = (
     _whole("gyro_rate_hz", 1000, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ, "Hz", "1000, 2000, 4000 or 8000"),
-    _choice("gyro_alignment", ("board", "cw0", "cw90", "cw180", "cw270"), "how the chip is turned"),
+    _choice("gyro_select", ("first", "second"), "which chip of a board with two gyros"),
+    _choice("gyro_alignment", _ALIGNMENTS, "how the chip is turned; flip: it sits on the underside"),
     *(
         _number(f"board_{axis}_deg", -180.0, 180.0, 0.0, "deg", "how the board is turned in the aircraft")
         for axis in AXES
@@ -230,6 +236,9 @@ SETTINGS = (
     _number("dynamic_notch_low_hz", 30.0, 1000.0, 100.0, "Hz", "lowest centre"),
     _number("dynamic_notch_high_hz", 60.0, 2000.0, 600.0, "Hz", "highest centre"),
     _number("dynamic_notch_q", 0.5, 20.0, 3.0, "1", "quality"),
+    _whole("rpm_filter_harmonics", 0, 3, 0, "notches", "on 1, 2 and 3 times each motor's turns; 0: none"),
+    _number("rpm_filter_min_hz", 30.0, 200.0, 100.0, "Hz", "lowest centre, where they have faded"),
+    _number("rpm_filter_q", 2.0, 20.0, 5.0, "1", "quality"),
     _choice("gyro_mean", ("policy", "off", "on"), _MEAN_MEANING),
     _choice("receiver_protocol", ("sbus", "crsf", "msp"), "what speaks on the receiver's line"),
     _whole("msp_baud", MSP_BAUDS[0], MSP_BAUDS[-1], MSP_BAUD_DEFAULT, "baud", _MSP_BAUD_MEANING),
@@ -277,6 +286,9 @@ SETTINGS = (
     _whole("arming_delay_ms", BOOT_GRACE_MS, 10_000, ARMING_DELAY_MS, "ms", _ARMING_DELAY_MEANING),
     # Less leaves the motors too little room above their idle: the NF1 needs more than a second to stop.
     _number("motor_limit", 0.45, 1.0, 1.0, "1", "largest motor fraction"),
+    _whole(
+        "dynamic_idle_rpm", 0, 10_000, 0, "rpm", "that the slowest motor keeps, by motor_telemetry; 0: off"
+    ),
     _switch("motor_stop", False, "armed with the throttle low, motors stand still"),
     *(
         _whole(
@@ -296,8 +308,10 @@ SETTINGS = (
         )
     ),
     _whole("battery_cells", 0, 6, 0, "cells", "0: found from the voltage at boot"),
-    _number("battery_scale", 1.0, 100.0, 11.0, "1", "volts at the pack for one at the pin"),
-    _number("current_scale", 1.0, 1000.0, 17.9, "mV/A", "of the sensor"),
+    _number(
+        "battery_scale", 0.0, 100.0, 0.0, "1", "volts at the pack for one at the pin; 0: as the board has it"
+    ),
+    _number("current_scale", 0.0, 1000.0, 0.0, "mV/A", "of the sensor; 0: as the board has it"),
     _number("battery_warn_v", 2.5, 4.4, 3.5, "V", "a cell: warning"),
     _number("battery_low_v", 2.5, 4.4, 3.3, "V", "a cell: land now"),
     _whole("battery_capacity_mah", 0, 65_535, 0, "mAh", "of the pack; 0: not told"),
@@ -311,7 +325,12 @@ SETTINGS = (
         "what UART3 does: msp a second MSP port, blackbox sends the log",
     ),
     _whole("uart3_baud", MSP_BAUDS[0], MSP_BAUDS[-1], MSP_BAUD_DEFAULT, "baud", "of UART3, as msp_baud"),
-    _choice("blackbox_device", _DEVICES, "where the log goes", default=LogDevice.CARD),
+    _choice(
+        "blackbox_device",
+        _DEVICES,
+        "where the log goes; card: to the board's SD card or flash chip",
+        default=LogDevice.CARD,
+    ),
     _choice("blackbox_mode", ("normal", "always"), "normal: while armed; always: from power-up"),
     _whole(
         "blackbox_divider", LOG_DIVIDERS[0], LOG_DIVIDERS[-1], LOG_DIVIDERS[0], "steps", _LOG_STEPS_MEANING

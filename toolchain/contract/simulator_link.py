@@ -15,6 +15,7 @@ SIM_POWER_MAGIC = 0x3150464E  # "NFP1"
 # sample before, by output (contract/motors.py). Without one before a control step all are silent.
 SIM_ROTOR_FORMAT = "<Id8H"  # magic, time s, words
 SIM_ROTOR_MAGIC = 0x3152464E  # "NFR1"
+SIM_VOLTS_SCALE, SIM_AMPS_SCALE = 11.0, 17.9  # of the host program's board, as MATEKF722's: 1, mV/A
 SIM_BATTERY_MV = 16800  # assumed where no simulator tells: four cells, full, at rest
 SIM_GYRO_ALIGNMENT = 2  # quarter turns clockwise of the simulated chip, as on a MATEKF722
 # What the controller used at a control step, sent on request (--trace-port) before the motor packet:

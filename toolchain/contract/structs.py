@@ -126,6 +126,7 @@ STRUCTS = {  # in C by these names
         HeaderField("uint16_t", "receiver_count", "bytes", "from the receiver"),
         HeaderField("int16_t", "accel", "", "chip axes", 3),
         HeaderField("uint16_t", "reserved", "", "0"),
+        HeaderField("uint16_t", "rotors", "", "words of the ESCs, by output", MOTOR_COUNT_MAX),
         HeaderField("struct log_sample", "gyro", "", "oldest first", REPLAY_SAMPLES_MAX, _SAMPLE),
         HeaderField("uint8_t", "receiver_bytes", "", "used up to receiver_count", LOG_RECEIVER_BYTES),
     ),

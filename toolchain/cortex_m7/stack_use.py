@@ -48,6 +48,7 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
     "boot.c": ("startup.c:reset_handler",),
     "gyro_chip.c:gyro_sample_handler": ("runtime.c:runtime_sample",),
     "gyro_chip.c:gyro_tick": ("runtime.c:runtime_gyro_silent",),
+    "gyro_kinds.c": ("gyro_chip.c:gyro_transfer",),
     "hal.c": _in("runtime.c", "runtime_background", "runtime_name"),
     "msp_lines.c": (
         *_in("runtime.c", "runtime_link", "runtime_link_reset", "runtime_link_pause", "runtime_link_lost"),
@@ -74,6 +75,7 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
         *("receiver_line.c:receiver_line_read", "motors.c:motors_write"),
         *_in("hal.c", "hal_trace_write", "hal_cycles", "hal_deadline_missed"),
     ),
+    "runtime.c:runtime_rotors": ("motors.c:motors_read",),
     "runtime.c:runtime_gyro_silent": ("motors.c:motors_write",),
     "runtime.c:runtime_background": ("hal.c:hal_watchdog_feed",),
     "background.c": ("power.c:power_read", *_in("hal.c", "hal_cycles", "hal_beeper", "hal_led")),
@@ -83,11 +85,23 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
     "background_blackbox.c": ("hal.c:hal_log",),
     "blackbox.c": (
         *_in("card_log.c", "log_step", "log_status", "log_begin", "log_write", "log_end"),
+        *_in(
+            "flash_log.c",
+            "flash_log_step",
+            "flash_log_status",
+            "flash_log_begin",
+            "flash_log_write",
+            "flash_log_end",
+        ),
         "log_uart.c:device",
     ),
-    "sd_card.c": ("card_spi.c:bus",),
-    "card_log.c": ("card_spi.c:bus",),
-    "blackbox_kept.c": _in("card_log.c", "log_status", "log_entry", "log_read", "log_erase"),
+    "sd_card.c": ("log_spi.c:bus",),
+    "card_log.c": ("log_spi.c:bus",),
+    "flash_chip.c": ("log_spi.c:bus", "flash_log.c:flash_log_fill"),
+    "blackbox_kept.c": (
+        *_in("card_log.c", "log_status", "log_entry", "log_read", "log_erase"),
+        *_in("flash_log.c", "flash_log_status", "flash_log_entry", "flash_log_read", "flash_log_erase"),
+    ),
     "scheduler.c": ("background.c:tasks", "hal.c:hal_cycles"),
     "msp_port.c": _services("record", "arming", "heard"),
     "msp_commands.c": _services(

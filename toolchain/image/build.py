@@ -18,22 +18,32 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from neuroflight.toolchain import contract
+from neuroflight.toolchain.boards.allocation import Allocation, allocate
+from neuroflight.toolchain.boards.board_file import BESIDE, board_text, named_board
+from neuroflight.toolchain.boards.description import pack
 from neuroflight.toolchain.codegen.compiler import CompiledPolicy, compile_policy
 from neuroflight.toolchain.cortex_m7.arm_policy import ArmPolicy
 from neuroflight.toolchain.cortex_m7.emulator import load_program
 from neuroflight.toolchain.cortex_m7.stack_use import StackError, StackUse, stack_use
 from neuroflight.toolchain.cortex_m7.timing import Cost, mixed_observations, step_cost
 from neuroflight.toolchain.errors import BuildError, PolicyError
-from neuroflight.toolchain.files import locked, replacing, write_text, write_text_if_changed
+from neuroflight.toolchain.files import (
+    locked,
+    replacing,
+    write_bytes_if_changed,
+    write_text,
+    write_text_if_changed,
+)
 from neuroflight.toolchain.image.elf import FLASH, Image, image_budgets, memory_use, read_image
 from neuroflight.toolchain.image.fit import check_memories, policy_code, split
 from neuroflight.toolchain.image.report import (
     AircraftFacts,
+    BoardFacts,
     BuildReport,
     ImageSize,
     OutputFile,
@@ -47,7 +57,8 @@ from neuroflight.toolchain.policy.model import PolicyModel, read_policy
 from neuroflight.toolchain.rendering.contract_header import render_contract
 from neuroflight.toolchain.rendering.pid_table import PidTable, render_pid_table
 
-TARGETS_FOLDER = Path(__file__).resolve().parents[2] / "firmware" / "targets"
+BOARD_FAMILY = "STM32F722"
+BOARD_TABLE = "board.bin"  # what make stamps into the images of a board
 BOARD_MEMORY = (contract.ITCM, contract.DTCM, contract.SRAM1, contract.SRAM2, FLASH)
 MEAN = [contract.POLICY_FILTER_MEAN]  # the one gyro filter that a policy may bring
 NFI = "neuroflight.nfi"  # both banks' images, one behind the other
@@ -55,53 +66,62 @@ OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the 
 PLAIN = re.compile(r"[\w./+@,-]+")  # a path that make takes for one word without a meaning of its own
 STACK_SECTION = ".stack"  # of an image: room that nothing is linked into
 NO_STACK = "the operating system gives this program its stack"
-NO_CYCLES = "cycles are predicted for the board's Cortex-M7 only; build MATEKF722"
+NO_CYCLES = "cycles are predicted for a board's Cortex-M7 only; build one"
 
 
 @dataclass(frozen=True)
 class Target:
-    """Something that the firmware can be built for; firmware/targets/<name> holds the rest."""
+    """Something that the firmware can be built for."""
 
     name: str
+    family: str  # firmware/targets/<family>; what is compiled for one of a family serves all
     compiler: str
     packages: str  # the system's packages that bring the compiler
     products: tuple[str, ...]  # made by make; the first is the ELF that the report describes
-    has_board_memory: bool
+    board: Allocation | None = None  # None: a program of this machine
 
     @property
     def motors(self) -> int:
-        """Motor outputs: a board's as its board.h says, the host program has as many as the core drives."""
-        header = TARGETS_FOLDER / self.name / "board.h"
-        if not header.is_file():
-            return contract.MOTOR_COUNT_MAX
-        found = re.search(r"^#define BOARD_MOTOR_COUNT (\d+)$", header.read_text(), re.MULTILINE)
-        if found is None:
-            raise BuildError(f"{header}: it does not define BOARD_MOTOR_COUNT, a number")
-        return int(found[1])
+        """Motor outputs: the host program has as many as the core drives."""
+        return contract.MOTOR_COUNT_MAX if self.board is None else len(self.board.motors)
+
+    @property
+    def has_board_memory(self) -> bool:
+        """Return True if it runs from a board's memories."""
+        return self.board is not None
 
 
-TARGETS = {
-    target.name: target
-    for target in (
-        Target(
-            name="MATEKF722",
-            compiler="arm-none-eabi-gcc",
-            packages="gcc-arm-none-eabi libnewlib-arm-none-eabi",
-            products=(
-                *("neuroflight.elf", "neuroflight.hex", "neuroflight.bin", "neuroflight.map"),
-                *("neuroflight.dfu", "neuroflight-b.elf", NFI),
-            ),
-            has_board_memory=True,
+HOST = Target(
+    name="HOST",
+    family="HOST",
+    compiler="gcc",
+    packages="build-essential",
+    products=("neuroflight", "libneuroflight.so"),
+)
+
+
+def find_target(name: str, receiver: int | None = None) -> Target:
+    """Return the target HOST, the board of that name, or the one that a TOML file of that name describes.
+
+    receiver: the UART that a receiver is wired to, where it is not the usual one. Raises WiringError, and
+    BuildError.
+    """
+    if name == HOST.name:
+        if receiver is not None:
+            raise BuildError(f"--receiver UART{receiver}: {HOST.name} has no UARTs; leave it out")
+        return HOST
+    board = named_board(name)
+    return Target(
+        name=board.name,
+        family=BOARD_FAMILY,
+        compiler="arm-none-eabi-gcc",
+        packages="gcc-arm-none-eabi libnewlib-arm-none-eabi",
+        products=(
+            *("neuroflight.elf", "neuroflight.hex", "neuroflight.bin", "neuroflight.map"),
+            *("neuroflight.dfu", "neuroflight-b.elf", NFI),
         ),
-        Target(
-            name="HOST",
-            compiler="gcc",
-            packages="build-essential",
-            products=("neuroflight", "libneuroflight.so"),
-            has_board_memory=False,
-        ),
+        board=allocate(board, receiver),
     )
-}
 
 
 # GNU ld's message when memory runs out in a way that `check_memories` does not foresee, and what to do about
@@ -124,46 +144,49 @@ class MakeError(BuildError):
 
 
 def build(
-    target: str,
+    name: str,
     policy: Path,
     root: Path,
     folder: Path | None = None,
     pid: PidTable | None = None,
     aircraft: AircraftFacts | None = None,
     check: Stamp | None = None,
+    receiver: int | None = None,
 ) -> BuildReport:
-    """Build `target` with the policy file `policy` in the project at `root`; its report is written too.
+    """Build the target `name` around the policy file `policy` in the project at `root`, and write its report.
 
     pid: what flies when the policy must not or the pilot does not want it to; None: nothing does.
     aircraft: that the image is for, for the report.
     check: found the policy fit to fly, for the report; `flash` refuses an image without.
+    receiver: the UART that one is wired to, where it is not the board's usual one.
 
-    Outputs go to root/build/<target> and generated sources to root/firmware/generated/<target>, or both
-    into `folder`/<target>, which leaves the user's images alone.
+    Outputs go to root/build/<target>, objects to root/build/<family> and generated sources to
+    root/firmware/generated/<family>, or all of them into `folder`, which leaves the user's images alone.
     Raises PolicyError or BuildError, one line, when something is missing or does not fit.
     """
-    known = find_target(target)
+    target = find_target(name, receiver)
     started = time.perf_counter()
     model = read_policy(policy)
     compiled = compile_policy(model)
-    check_fit(compiled, known)
+    check_fit(compiled, target)
     _check_pid(pid, model)
-    _check_tools(known)
+    _check_tools(target)
     optimized = time.perf_counter()
-    out = (folder or root / "build") / known.name
-    generated = out / "generated" if folder else root / "firmware" / "generated" / known.name
-    with locked(out):
+    base = folder or root / "build"
+    out, shared = base / target.name, base / target.family
+    generated = shared / "generated" if folder else root / "firmware" / "generated" / target.family
+    with locked(shared), nullcontext() if shared == out else locked(out):
         _write_generated(compiled, pid, generated)
-        built = run_make(known, root, out, generated)
-        made = out / "make" / known.products[0]
+        built = run_make(target, root, out, generated, shared)
+        made, objects = out / "make" / target.products[0], shared / "make" / "obj"
         image = read_image(made)
-        memory = memory_use(image) if known.has_board_memory else ()
-        cost = _step_cost(compiled, made) if known.has_board_memory else None
-        stack, no_stack = _stack(known, made, out / "make" / "obj")
-        files = tuple(_publish(out / "make" / name, out / name, root) for name in known.products)
+        memory = memory_use(image) if target.has_board_memory else ()
+        cost = _step_cost(compiled, made) if target.has_board_memory else None
+        stack, no_stack = _stack(target, made, objects)
+        files = tuple(_publish(out / "make" / name, out / name, root) for name in target.products)
         finished = time.perf_counter()
         report = BuildReport(
-            target=known.name,
+            target=target.name,
             stages=_stages(compiled, built, (optimized - started, finished - optimized)),
             policy=_facts(compiled, policy),
             pid=None if pid is None else PidFacts(pid.aircraft, pid.name, pid.idle, pid.mix.text),
@@ -174,22 +197,18 @@ def build(
             step_instructions=cost.instructions[1] if cost else None,
             predicted_cycles=round(cost.cycles[1]) if cost and cost.cycles else None,
             predicted_cycles_reason=cost.no_cycles_reason if cost else NO_CYCLES,
-            budgets=image_budgets(image) if known.has_board_memory else (),
+            budgets=image_budgets(image) if target.has_board_memory else (),
             stack=stack,
             stack_reason=no_stack,
-            image_size=_image_size(image, out / "make" / "obj", compiled) if known.has_board_memory else None,
-            images=bank_images((out / NFI).read_bytes()) if NFI in known.products else (),
+            image_size=_image_size(image, objects, compiled) if target.has_board_memory else None,
+            images=bank_images((out / NFI).read_bytes()) if NFI in target.products else (),
             check=check,
+            board=_board_facts(target.board, told=receiver is not None),
         )
+        if target.board is not None:
+            write_text_if_changed(out / BESIDE, board_text(target.board.board))
         write_text(out / "report.json", json.dumps(report.document(), indent=2) + "\n")
     return report
-
-
-def find_target(name: str) -> Target:
-    """Return the target called `name`. Raises BuildError listing the known ones."""
-    if name not in TARGETS:
-        raise BuildError(f"unknown TARGET {name!r}, known are {', '.join(TARGETS)}")
-    return TARGETS[name]
 
 
 def check_fit(compiled: CompiledPolicy, target: Target) -> None:
@@ -246,14 +265,17 @@ def _write_generated(compiled: CompiledPolicy, pid: PidTable | None, directory: 
     write_text_if_changed(directory / "nf_contract.h", render_contract())
 
 
-def run_make(target: Target, root: Path, out: Path, generated: Path) -> int:
+def run_make(target: Target, root: Path, out: Path, generated: Path, shared: Path | None = None) -> int:
     """Compile and link root/firmware around the sources in `generated`; returns how many files that took.
 
-    Objects and products go to out/make. Raises MakeError.
+    Products go to out/make, objects to shared/make/obj; shared: None: `out`. Raises MakeError.
     """
     firmware = root / "firmware"
-    with _named_for_make({"BUILD": out / "make", "GENERATED": generated}, firmware) as names:
-        command = ["make", "-C", str(firmware), f"-j{os.cpu_count() or 1}", f"TARGET={target.name}", *names]
+    folders = {"BUILD": out / "make", "GENERATED": generated, "OBJ": (shared or out) / "make" / "obj"}
+    if target.board is not None:
+        write_bytes_if_changed(out / "make" / BOARD_TABLE, pack(target.board))
+    with _named_for_make(folders, firmware) as names:
+        command = ["make", "-C", str(firmware), f"-j{os.cpu_count() or 1}", f"TARGET={target.family}", *names]
         done = subprocess.run(
             [*command, "PYTHON=" + sys.executable.replace("$", "$$")],
             capture_output=True,
@@ -355,6 +377,21 @@ def _stages(compiled: CompiledPolicy, built: int, seconds: tuple[float, float]) 
         Stage("synthesis", f"trained earlier on aircraft {model.aircraft}", None),
         Stage("optimization", f"{rewrites}; {saved} operations saved", seconds[0]),
         Stage("compilation", f"{len(compiled.plan.calls)} kernel calls in C; {made}", seconds[1]),
+    )
+
+
+def _board_facts(board: Allocation | None, *, told: bool) -> BoardFacts | None:
+    if board is None:
+        return None
+    return BoardFacts(
+        name=board.board.name,
+        receiver=board.receiver,
+        receiver_told=told,
+        msp=board.msp,
+        second=board.second,
+        log=board.log,
+        motors=len(board.motors),
+        left=board.left,
     )
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from neuroflight.toolchain.codegen.compiler import compile_policy
 from neuroflight.toolchain.errors import BuildError, NeuroflightError
 from neuroflight.toolchain.files import write_text
+from neuroflight.toolchain.image.build import BOARD_FAMILY
 from neuroflight.toolchain.policy.model import read_policy
 from neuroflight.toolchain.rendering.contract_header import render_contract
 
@@ -45,7 +46,7 @@ def analyse(policy: Path, firmware: Path = FIRMWARE) -> str:
         write_text(generated / "policy.c", emission.source)
         include = [
             f"-I{path}"
-            for path in (firmware, firmware / "src", firmware / "targets" / "MATEKF722", generated)
+            for path in (firmware, firmware / "src", firmware / "targets" / BOARD_FAMILY, generated)
         ]
         sources = [str(firmware / source) for source in SOURCES] + [str(generated / "policy.c")]
         suppressed = f"--suppressions-list={firmware / 'cppcheck.txt'}"

@@ -77,6 +77,20 @@ class PidFacts:
 
 
 @dataclass(frozen=True)
+class BoardFacts:
+    """The board that an image is for, and what serves what on it. None: it flies without."""
+
+    name: str
+    receiver: int  # number of its UART
+    receiver_told: bool  # the user named it
+    msp: int | None  # number of its UART
+    second: int | None
+    log: bool
+    motors: int  # outputs
+    left: tuple[str, ...]  # what it flies without and why
+
+
+@dataclass(frozen=True)
 class ImageSize:
     """The size of the image, by its ELF file [bytes]."""
 
@@ -139,6 +153,7 @@ class BuildReport:
     image_size: ImageSize | None = None  # None on the host
     images: tuple[BankImage, ...] = ()  # one for each bank; none on the host
     check: Stamp | None = None  # that found the policy fit to fly; None: nothing did
+    board: BoardFacts | None = None  # None on the host
 
     def document(self) -> dict[str, object]:
         """Return the content of report.json."""
@@ -169,6 +184,7 @@ class Built:
     policy_motors: MotorFacts
     pid_motors: MotorFacts | None  # None: no PID is built in
     pid: str | None = None  # its name in the aircraft's file
+    receiver: int | None = None  # UART of the receiver, where the user named one
 
 
 def built(product: Path) -> Built:
@@ -183,6 +199,7 @@ def built(product: Path) -> Built:
         report = json.loads(path.read_bytes())
         known = {str(file["sha256"]) for file in report["files"]}
         policy, pid, aircraft = report["policy"], report["pid"], report.get("aircraft")
+        board = report.get("board") or {}
         found = Built(
             sha256=hashlib.sha256(product.read_bytes()).hexdigest(),
             policy=str(policy["network"]),
@@ -194,6 +211,7 @@ def built(product: Path) -> Built:
             policy_motors=MotorFacts(float(policy["idle"]), Mix.of(str(policy["mix"]))),
             pid_motors=None if pid is None else MotorFacts(float(pid["idle"]), Mix.of(str(pid["mix"]))),
             pid=None if pid is None else str(pid["name"]),
+            receiver=int(board["receiver"]) if board.get("receiver_told") is True else None,
         )
     except OSError as error:
         raise BuildError(f"cannot read {path} ({error.strerror}); build {product.name} anew") from error
@@ -304,12 +322,26 @@ def print_report(report: BuildReport, console: Console) -> None:
     if report.memory:
         sections = " · ".join(f"{section.name} {section.size:,}" for section in report.sections)
         table.add_row("", "sections", sections)
+    for row in _board_rows(report.board):
+        table.add_row(*row)
     if report.images:
         first = report.images[0]
         table.add_row("build", first.build, f"version {first.version}, as the board tells it")
     for index, file in enumerate(report.files):
         table.add_row("" if index else "files", f"{file.size:,} bytes", file.path)
     console.print(table)
+
+
+def _board_rows(board: BoardFacts | None) -> Iterator[tuple[str, str, str]]:
+    """Yield what serves what on the board, and what it flies without."""
+    if board is None:
+        return
+    lines = (("receiver", board.receiver), ("MSP", board.msp), ("second serial port", board.second))
+    uarts = ", ".join(f"{what} UART{number}" for what, number in lines if number is not None)
+    yield "board", board.name, f"{board.motors} motor outputs, {uarts}"
+    for one in board.left:
+        part, _, why = one.partition(": ")
+        yield "", "flies without", f"{part}: {why}"
 
 
 def _training(facts: Mapping[str, object]) -> Iterator[str]:

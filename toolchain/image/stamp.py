@@ -1,11 +1,12 @@
-"""Writes into a linked image what only the whole of it tells.
+"""Makes a board's image from the linked one, which is the same for all boards.
 
-    python -m neuroflight.toolchain.image.stamp ELF
+    python -m neuroflight.toolchain.image.stamp LINKED TABLE ELF
 
-The header (toolchain/contract/image_format.py) gets the bank that the image lies in, the number of its
-build and the CRC-32. The number is made of bank A's content and of the policy that comes with it in a slot,
-which gets it too; bank B's image takes it over with `--build-of`, so that all are known as one build.
-Stamping twice changes nothing.
+TABLE is what `toolchain.boards.description` made of the board: the image gets it, and its boot part a copy.
+The header (toolchain/contract/image_format.py) gets the board's name, the bank that the image lies in, the
+number of its build and the CRC-32. The number is made of bank A's content and of the policy that comes with
+it in a slot, which gets it too; bank B's image takes it over with `--build-of`, so that all are known as one
+build. Stamping twice changes nothing.
 """
 
 from __future__ import annotations
@@ -20,10 +21,13 @@ from pathlib import Path
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 
+from neuroflight.toolchain.boards.description import unpack
 from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_POLICY_SLOTS,
+    IMAGE_BOARD_BYTES,
     IMAGE_BUILD_BYTES,
+    IMAGE_TABLE_OFFSET,
     Region,
     bound_policy,
     image_checksum,
@@ -31,6 +35,9 @@ from neuroflight.toolchain.contract import (
     image_header,
 )
 from neuroflight.toolchain.errors import BuildError, NeuroflightError
+from neuroflight.toolchain.files import write_bytes
+
+BOOT_TABLE = ".boot_board"  # the boot part's section for its copy of the description
 
 
 @dataclass(frozen=True)
@@ -42,18 +49,24 @@ class _Span:
     size: int
 
 
-def stamp(path: Path, build_of: Path | None = None) -> None:
-    """Complete the header of the ELF `path`, in place. build_of: an ELF whose build's number is used.
+def stamp(linked: Path, table: bytes, out: Path, build_of: Path | None = None) -> None:
+    """Write the ELF `linked` as the image of the board that `table` describes.
 
-    Raises BuildError if the file is no image for a bank of this board.
+    build_of: an ELF whose build's number is used. Raises BuildError if `linked` is no image for a bank, and
+    WiringError if `table` is no description.
     """
-    bank, spans = _bank_spans(path)
-    file = bytearray(path.read_bytes())
+    board = unpack(table)["name"].encode()
+    bank, spans = _bank_spans(linked)
+    file = bytearray(linked.read_bytes())
     image: bytearray = _image(file, spans)
-    _check(path, image, spans)
-    slot = _spans(path, FLASH_POLICY_SLOTS[0])
+    _check(linked, image, spans)
+    slot = _spans(linked, FLASH_POLICY_SLOTS[0])
     policy = bound_policy(_image(file, slot), bytes(IMAGE_BUILD_BYTES)) if slot else b""
     _put(image, "bank", struct.pack("<B", bank))
+    _put(image, "board", board.ljust(IMAGE_BOARD_BYTES, b"\0"))
+    image[IMAGE_TABLE_OFFSET : IMAGE_TABLE_OFFSET + len(table)] = table
+    if (boot := _section(linked, BOOT_TABLE)) is not None:
+        file[boot : boot + len(table)] = table
     if build_of is None:
         _put(image, "build", bytes(IMAGE_BUILD_BYTES))
         _put(image, "crc", bytes(4))
@@ -66,7 +79,7 @@ def stamp(path: Path, build_of: Path | None = None) -> None:
     _store(file, spans, image)
     if policy:
         _store(file, slot, bound_policy(policy, build))
-    path.write_bytes(file)
+    write_bytes(out, bytes(file))
 
 
 def _store(file: bytearray, spans: tuple[_Span, ...], content: bytes | bytearray) -> None:
@@ -100,6 +113,13 @@ def _spans(path: Path, region: Region) -> tuple[_Span, ...]:
     )
 
 
+def _section(path: Path, name: str) -> int | None:
+    """Return where in the file that section of the ELF begins; None: it has none."""
+    with path.open("rb") as stream:
+        section = ELFFile(stream).get_section_by_name(name)
+        return None if section is None else int(section["sh_offset"])
+
+
 def _image(file: bytes | bytearray, spans: tuple[_Span, ...]) -> bytearray:
     image = bytearray(b"\xff" * max(span.offset + span.size for span in spans))
     for span in spans:
@@ -128,13 +148,15 @@ def _put(image: bytearray, name: str, value: bytes) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Stamp the file named. Returns 0, or 1 after one line on stderr."""
+    """Stamp the file that is named. Returns 0, or 1 after one line on stderr."""
     parser = argparse.ArgumentParser(prog="stamp", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("elf", type=Path)
+    parser.add_argument("linked", type=Path, metavar="LINKED")
+    parser.add_argument("table", type=Path, metavar="TABLE")
+    parser.add_argument("elf", type=Path, metavar="ELF")
     parser.add_argument("--build-of", type=Path, metavar="ELF")
     args = parser.parse_args(arguments)
     try:
-        stamp(args.elf, args.build_of)
+        stamp(args.linked, args.table.read_bytes(), args.elf, args.build_of)
     except NeuroflightError as error:
         print(error, file=sys.stderr)
         return 1

@@ -183,8 +183,9 @@ def _mix(metadata: Mapping[str, str]) -> Mix:
 def _model(
     metadata: Mapping[str, str], blocks: tuple[ObservationTerm, ...], motors: int
 ) -> ModelConstants | None:
-    """Read the model's constants; None if the observation needs none."""
-    if not contract.needs_model(blocks):
+    """Read the model's constants; None if the observation needs none, and welcomes none that is there."""
+    welcome = contract.welcomes_model(blocks) and contract.META_MODEL in metadata
+    if not welcome and not contract.needs_model(blocks):
         return None
     document = _json(metadata, contract.META_MODEL, dict)
     try:

@@ -25,9 +25,10 @@ from neuroflight.toolchain.rendering.msp_fields import render_commands, render_c
 # What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing, where
 # switches are by default.
 PYTHON_ONLY = (
-    *("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "MODEL_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_"),
+    *("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "MODEL_BLOCKS", "ESC_BLOCKS"),
+    *("POLICY_FILE_", "POLICY_FORMAT_"),
     *("IMAGE_FILE_", "FAULT_REGISTERS"),
-    *("SWITCH_ON_US", "CHANNEL_ARM", "CHANNEL_PID", "CHANNEL_BEEPER", "CHANNEL_TRIAL"),
+    *("GYROS_NOT_FLOWN", "SWITCH_ON_US", "CHANNEL_ARM", "CHANNEL_PID", "CHANNEL_BEEPER", "CHANNEL_TRIAL"),
 )
 TABLES = (
     *("POLICY_BLOB_FIELDS", "IMAGE_FIELDS", "IMAGE_STATE_FIELDS"),
@@ -218,12 +219,14 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("nf_msp_how", "NF_MSP_HOW", contract.MspHow),
         _enumeration("nf_msp_source", "NF_MSP_SOURCE", contract.MspSource),
         _enumeration("nf_dshot_command", "NF_DSHOT_COMMAND", contract.DshotCommand),
+        _enumeration("nf_esc_told", "NF_ESC", contract.EscTold),
         _enumeration("nf_flight_state", "NF_FLIGHT", contract.FlightState, "NF_FLIGHT_STATES"),
         _enumeration("nf_arming_reason", "NF_ARMING_REASON", contract.ArmingReason, "NF_ARMING_REASONS"),
         _enumeration("nf_stop_cause", "NF_STOP", contract.StopCause, "NF_STOP_CAUSES"),
         _enumeration("nf_fallback_cause", "NF_FALLBACK", contract.FallbackCause, "NF_FALLBACK_CAUSES"),
         _enumeration("nf_gyro_health", "NF_GYRO_HEALTH", contract.GyroHealth, "NF_GYRO_HEALTHS"),
-        _enumeration("nf_gyro_identity", "NF_GYRO_IDENTITY", contract.GyroIdentity, "NF_GYRO_IDENTITIES"),
+        _enumeration("gyro_chip", "GYRO", contract.GyroChip),
+        _enumeration("board_alignment", "ALIGN", contract.Alignment),
         _enumeration("nf_task", "NF_TASK", contract.Task, "NF_TASKS"),
         _enumeration("nf_refusal", "NF_REFUSAL", contract.Refusal),
         _enumeration("nf_err", "NF", contract.FirmwareError),
@@ -234,6 +237,7 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("log_sample_flag", "LOG_SAMPLE", contract.LogSampleFlag),
         _enumeration("nf_reboot", "NF_REBOOT", contract.Reboot),
         _enumeration("nf_mode", "NF_MODE", contract.Mode, "NF_MODES"),
+        _enumeration("board_log", "BOARD_LOG", contract.BoardLog),
         _enumeration("nf_log_device", "NF_LOG_DEVICE", contract.LogDevice, "NF_LOG_DEVICES"),
         _enumeration("nf_log_state", "NF_LOG_STATE", contract.LogState, "NF_LOG_STATES"),
         _enumeration("nf_log_error", "NF_LOG_ERROR", contract.LogError, "NF_LOG_ERRORS"),

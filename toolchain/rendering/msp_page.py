@@ -27,6 +27,7 @@ NUMBERED = {
     "stop cause": contract.StopCause,
     "fallback cause": contract.FallbackCause,
     "gyro health": contract.GyroHealth,
+    "gyro chip": contract.GyroChip,
     "task": contract.Task,
     "device of the log": contract.LogDevice,
     "state of the log": contract.LogState,

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from neuroflight.sim.strict_toml import parse_toml, shown
 from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.toolchain.files import read_limited
+from neuroflight.toolchain.strict_toml import parse_toml, shown
 from neuroflight.training.config.config_table import NAME, ConfigReader
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.plugins import check_recorded

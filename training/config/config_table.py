@@ -13,8 +13,8 @@ from dataclasses import MISSING, dataclass, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from neuroflight.sim.strict_toml import TEXT_MAX, shown
 from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.strict_toml import TEXT_MAX, shown
 from neuroflight.training.config.algorithms import ALGORITHMS, Algorithm
 from neuroflight.training.tasks.registry import TASKS
 from neuroflight.training.tasks.reward import REWARDS, Reward

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.mass import Vector
 from neuroflight.sim.aircraft.model import Aircraft
-from neuroflight.sim.control.estimator import model_constants
+from neuroflight.sim.control.estimator import observed_model
 from neuroflight.sim.physics.world import Mount
-from neuroflight.sim.strict_toml import shown
 from neuroflight.toolchain.contract import (
     CONTROL_RATES_HZ,
     POLICY_FILTER_MEAN,
@@ -21,11 +20,11 @@ from neuroflight.toolchain.contract import (
     ObservationTerm,
     check_cutoffs,
     check_observation,
-    needs_model,
     observation_blocks,
 )
 from neuroflight.toolchain.errors import AircraftError, TrainingError
 from neuroflight.toolchain.policy.model_constants import ModelConstants
+from neuroflight.toolchain.strict_toml import shown
 from neuroflight.training.config.algorithms import ENDS_IN_TANH, Algorithm, PpoConfig
 from neuroflight.training.config.pathwise_config import PathwiseConfig
 from neuroflight.training.config.randomization import SAME, Randomization
@@ -50,6 +49,7 @@ OBSERVATION_SCALES = {
     "gravity": 1.0,
     "previous_motors": 1.0,
     "rotor_estimate": 0.004,
+    "rotor_measured": 0.004,
     "rate_estimate": 0.3,
     "rate_estimate_error": 0.3,
 }
@@ -226,7 +226,7 @@ class TrainingConfig:
 
     def _model(self, aircraft: Aircraft) -> ModelConstants | None:
         """Compute the constants of the model that the policy observes by; None without a model."""
-        return model_constants(aircraft, self.control_rate_hz) if needs_model(self.blocks()) else None
+        return observed_model(aircraft, self.blocks(), self.control_rate_hz)
 
     @property
     def mixing(self) -> Mix:

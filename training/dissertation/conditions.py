@@ -9,8 +9,8 @@ from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
-from neuroflight.sim.strict_toml import StrictTable
 from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.strict_toml import StrictTable
 
 FILE = Path(__file__).with_name("conditions.toml")
 TEXTS = ("aircraft", "mount", "task", "machine", "reward", "inputs", "network")

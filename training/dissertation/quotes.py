@@ -9,9 +9,9 @@ from decimal import Decimal
 from functools import cache
 from pathlib import Path
 
-from neuroflight.sim.strict_toml import StrictTable, shown
 from neuroflight.toolchain.errors import NeuroflightError
 from neuroflight.toolchain.files import read_limited
+from neuroflight.toolchain.strict_toml import StrictTable, shown
 
 FILE = Path(__file__).with_name("quotes.toml")
 FILE_BYTES_MAX = 1 << 20

@@ -9,8 +9,7 @@ from typing import Any
 
 import torch
 
-from neuroflight.sim.control.estimator import model_constants
-from neuroflight.toolchain.contract import needs_model
+from neuroflight.sim.control.estimator import observed_model
 from neuroflight.toolchain.errors import PolicyError, TrainingError
 from neuroflight.toolchain.policy.import_onnx import PolicyClaims, import_onnx
 from neuroflight.toolchain.policy.model import PolicyModel
@@ -106,7 +105,7 @@ def _claims(setup: Setup) -> PolicyClaims:
         motors=aircraft.motor_count,
         idle=config.idle,
         mix=config.mixing,
-        model=model_constants(aircraft, rate_hz) if needs_model(config.blocks()) else None,
+        model=observed_model(aircraft, config.blocks(), rate_hz),
     )
 
 

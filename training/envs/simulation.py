@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
-from neuroflight.sim.control.estimator import model_constants
+from neuroflight.sim.control.estimator import observed_model
 from neuroflight.sim.control.gyro_mean import GyroMean, samples_per_step
 from neuroflight.sim.control.motors import dshot_values, motor_fractions, throttle_mix
 from neuroflight.sim.control.observation import Observer
@@ -19,7 +19,7 @@ from neuroflight.sim.physics.imu import quantised_rate
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.physics.variation import Variation
 from neuroflight.sim.physics.world import Mount
-from neuroflight.toolchain.contract import check_observation, needs_model
+from neuroflight.toolchain.contract import ESC_BLOCKS, check_observation
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.tasks.reward import Transition
@@ -76,7 +76,7 @@ class AttitudeSimulation:
             variation=self._drawn(count),
             rng=rng,
         )
-        model = model_constants(aircraft, self._rate_hz) if needs_model(terms) else None
+        model = observed_model(aircraft, terms, self._rate_hz)
         self._observer = Observer(
             terms, count, self.motor_count, self._rate_hz, model=model, idle=config.idle
         )
@@ -207,11 +207,11 @@ class AttitudeSimulation:
         )
 
     def _sensed(self, which: NDArray[np.intp] | slice) -> dict[str, NDArray[np.float32]]:
-        """Return observed values from the twin's own state, float32."""
+        """Return observed values that neither gyro nor policy tells, float32."""
         twin, names = self._twin, self._observer.names
         sensed = {}
-        if "rotor_speed" in names:
-            sensed["rotor_speed"] = twin.rotor_speed[which].astype(np.float32)
+        if names & ESC_BLOCKS:
+            sensed["rotor_speed"] = twin.told_speed[which]
         if "gravity" in names:
             sensed["gravity"] = -twin.rotation[which, 2].astype(np.float32)
         return sensed

@@ -261,7 +261,7 @@ def record(
             if by_step is not None:
                 thrust = by_step[k]
             if isinstance(controller, PolicyController) and controller.senses:
-                controller.sense(twin.rotor_speed, twin.rotation)
+                controller.sense(twin.told_speed, twin.rotation)
             rows.output[k] = y = controller.step(setpoint, gyro.mean(), thrust)
             if isinstance(controller, Pid) and battery.due(k):
                 controller.compensate(battery.measure(twin.pack_voltage))

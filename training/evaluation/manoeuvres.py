@@ -67,10 +67,9 @@ def port_controller(name: str, aircraft: Aircraft) -> PortController:
     """
     spec = load_controller(name, aircraft)
     controller = spec.build(1)
-    if isinstance(controller, PolicyController) and controller.senses:
+    if isinstance(controller, PolicyController) and "gravity" in controller.senses:
         raise PolicyError(
-            f"{name}: observes rotor speed or attitude, which no port gives; evaluate it with `neuroflight "
-            f"evaluate`"
+            f"{name}: observes the attitude, which no port gives; evaluate it with `neuroflight evaluate`"
         )
     return PortController(name, spec.label, lambda: _port(spec, aircraft), spec.idle, spec.facts)
 

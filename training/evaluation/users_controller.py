@@ -17,10 +17,10 @@ import numpy as np
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.arrays import Array32
 from neuroflight.sim.control.controller import Controller
-from neuroflight.sim.strict_toml import StrictTable, parse_toml
 from neuroflight.toolchain.contract import CONTROL_RATES_HZ, POLICY_FILTER_MEAN, Mix
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.toolchain.files import read_limited
+from neuroflight.toolchain.strict_toml import StrictTable, parse_toml
 from neuroflight.training.plugins import blaming, real_array, users_class
 
 PYTHON = ".py"

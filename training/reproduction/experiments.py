@@ -17,8 +17,8 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from neuroflight.sim.strict_toml import StrictTable
 from neuroflight.toolchain.errors import NeuroflightError
+from neuroflight.toolchain.strict_toml import StrictTable
 from neuroflight.training.dissertation.quotes import QuoteError
 from neuroflight.training.reproduction.patterns import PatternError, expanded
 from neuroflight.training.reproduction.quoted import Quoted, quoted

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from neuroflight.sim.strict_toml import StrictTable
 from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.strict_toml import StrictTable
 from neuroflight.training.config.config_table import ConfigReader
 from neuroflight.training.tasks.limits import Limits, value_errors
 

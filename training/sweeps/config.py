@@ -42,9 +42,9 @@ import numpy as np
 from neuroflight.sim.aircraft.model import Aircraft, load_aircraft, shipped
 from neuroflight.sim.aircraft.props_out import SUFFIX
 from neuroflight.sim.physics.world import COUNT_MAX
-from neuroflight.sim.strict_toml import StrictTable, parse_toml
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.toolchain.files import read_limited
+from neuroflight.toolchain.strict_toml import StrictTable, parse_toml
 from neuroflight.training.config.config_file import load_config, recipes
 from neuroflight.training.config.training_config import SEED_MAX, TrainingConfig
 from neuroflight.training.sweeps.axes import (

@@ -11,6 +11,8 @@ const struct board_identity host_identity = {
 	.maker = "NRFL",
 	.mcu = "HOST",
 	.unique_id = { 0x484F5354u, 0, 0 }, /* "HOST" */
+	.volts_scale = NF_SIM_VOLTS_SCALE,
+	.amps_scale = NF_SIM_AMPS_SCALE,
 };
 
 static void host_board_silence(struct host_board *board)
@@ -50,12 +52,13 @@ static size_t host_board_receiver_read(void *context, uint8_t *bytes, size_t cap
 	return receiver_line_take(&board->line, bytes, capacity);
 }
 
-static void host_board_motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
+static bool host_board_motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
 {
 	struct host_board *board = context;
 
 	board->motor_count = count < NF_MOTOR_COUNT_MAX ? count : NF_MOTOR_COUNT_MAX;
 	memcpy(board->dshot, dshot, board->motor_count * sizeof dshot[0]);
+	return true;
 }
 
 /* Each control step has answers of its own. */

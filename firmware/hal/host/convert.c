@@ -3,7 +3,7 @@
 #include <math.h>
 
 #include "common/crc8.h"
-#include "storage/settings.h"
+#include "nf_contract.h"
 
 #define DEG_PER_RAD (180.0 / 3.14159265358979323846)
 #define STANDARD_GRAVITY 9.80665 /* m/s^2 */
@@ -12,7 +12,7 @@
 #define CHANNEL_VALUE_MAX 2047u
 
 /* Chip axis i is body axis (x forward, y left, z up) `axis[i]` times `sign[i]`: the chip is turned clockwise
- * seen from above. Written from the chip's side; the core holds the inverse. */
+ * seen from above, and flipped before that. Written from the chip's side; the core holds the inverse. */
 static const struct mounting {
 	uint8_t axis[3];
 	double sign[3];
@@ -21,6 +21,10 @@ static const struct mounting {
 	[ALIGN_CW90] = { { 1, 0, 2 }, { -1.0, 1.0, 1.0 } },
 	[ALIGN_CW180] = { { 0, 1, 2 }, { -1.0, -1.0, 1.0 } },
 	[ALIGN_CW270] = { { 1, 0, 2 }, { 1.0, -1.0, 1.0 } },
+	[ALIGN_CW0_FLIP] = { { 0, 1, 2 }, { -1.0, 1.0, -1.0 } },
+	[ALIGN_CW90_FLIP] = { { 1, 0, 2 }, { 1.0, 1.0, -1.0 } },
+	[ALIGN_CW180_FLIP] = { { 0, 1, 2 }, { 1.0, -1.0, -1.0 } },
+	[ALIGN_CW270_FLIP] = { { 1, 0, 2 }, { -1.0, -1.0, -1.0 } },
 };
 
 static int16_t convert_rounded(double counts)
@@ -78,14 +82,11 @@ static uint16_t convert_millivolts(double volts)
 
 struct power_sample convert_power(double volts, double amps)
 {
-	struct nf_settings usual;
-
 	if (!(volts >= 0.0 && amps >= 0.0))
 		return (struct power_sample){ .valid = false };
-	settings_default(&usual);
 	return (struct power_sample){
-		.volts_mv = convert_millivolts(volts / (double)usual.battery_scale),
-		.amps_mv = convert_millivolts(amps * (double)usual.current_scale / 1000.0),
+		.volts_mv = convert_millivolts(volts / (double)NF_SIM_VOLTS_SCALE),
+		.amps_mv = convert_millivolts(amps * (double)NF_SIM_AMPS_SCALE / 1000.0),
 		.valid = true,
 	};
 }

@@ -82,6 +82,8 @@ enum replay_result replay_run(struct firmware *fw, const struct replay_step *ste
 	firmware_lost(fw, step->lost);
 	if (!firmware_control_due(fw))
 		return REPLAY_LATE;
+	if (fw->rotors.on)
+		firmware_rotors(fw, step->rotors);
 	firmware_receive(fw, step->receiver_bytes, posted ? 0 : step->receiver_count);
 	const struct imu_sample sample = replay_sample(fw, step, last);
 	(void)firmware_sample(fw, &sample, dshot);

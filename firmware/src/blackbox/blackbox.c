@@ -51,7 +51,10 @@ void blackbox_init(struct blackbox *b, const struct blackbox_config *config)
 		b->switched |= range.mode == NF_MODE_BLACKBOX && range.low < range.high;
 	}
 	blackbox_init_mount(&b->mount, config->gyro);
-	log_frames_init(&b->frames, s->blackbox_disabled_mask, s->gyro_rate_hz / POLICY_CONTROL_RATE_HZ);
+	for (unsigned motor = 0; motor < POLICY_ACTION_COUNT; ++motor)
+		b->mount.outputs[motor] = (uint8_t)(settings_whole(s, SETTING_AT_motor1_output + motor) - 1u);
+	log_frames_init(&b->frames, s->blackbox_disabled_mask, s->gyro_rate_hz / POLICY_CONTROL_RATE_HZ,
+			s->motor_telemetry != 0);
 }
 
 void blackbox_status(const struct blackbox *b, struct blackbox_status *status)
@@ -201,7 +204,7 @@ static void blackbox_tell_slow(struct blackbox *b, const struct log_step *step)
 {
 	struct log_slow slow;
 
-	log_slow_load(&slow, step, b->frames.left_out, b->dropped);
+	log_slow_load(&slow, step, &b->frames, b->dropped);
 	if (!b->first && !log_slow_tells(&slow, &b->slow))
 		return;
 	b->out_count += (uint32_t)log_frames_slow(&slow, b->out + b->out_count);

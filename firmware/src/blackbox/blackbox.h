@@ -32,13 +32,8 @@ struct blackbox_view {
 	float volts, amps; /* of the battery */
 };
 
+/* What is used most comes first, where short instructions reach it. */
 struct blackbox {
-	struct blackbox_config config;
-	struct log_frames frames;
-	struct log_header header;
-	struct log_slow slow; /* told last */
-	struct log_mount mount;
-	struct blackbox_view view;
 	uint8_t phase; /* enum of blackbox.c */
 	uint8_t pieces; /* frames or lines of a slice at most */
 	bool switched; /* the mode BLACKBOX has a range */
@@ -51,6 +46,12 @@ struct blackbox {
 	uint32_t intra_at; /* iteration from which the next intra frame is due */
 	uint32_t written, dropped, bytes; /* of the present or last log: frames, control steps, bytes */
 	uint32_t out_at, out_count; /* of `out`: passed on, and in it */
+	struct blackbox_config config;
+	struct blackbox_view view;
+	struct log_header header;
+	struct log_slow slow; /* told last */
+	struct log_mount mount;
+	struct log_frames frames;
 	uint8_t out[LOG_LINE_BYTES];
 };
 

@@ -6,6 +6,7 @@
 #include "common/crc32.h"
 #include "common/limit.h"
 #include "common/nf_math.h"
+#include "sensing/rotors.h"
 
 /* Numbers of the predictors in a log's header. */
 enum predictor {
@@ -38,12 +39,14 @@ enum predictor {
 	X(ATTITUDE, "imuQuaternion[", NF_LOG_GROUP_ATTITUDE, 3, 1, 3, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG2_3S32)       \
 	X(ACC, "accSmooth[", NF_LOG_GROUP_ACC, 3, 1, 3, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG2_3S32)                     \
 	X(MOTOR, "motor[", NF_LOG_GROUP_MOTOR, MOTORS, 0, 2, MOTOR_0, LOG_SIGNED, PREVIOUS, LOG_SIGNED)                \
+	X(ERPM, "eRPM[", NF_LOG_GROUP_RPM, MOTORS, 0, 3, ZERO, LOG_UNSIGNED, PREVIOUS, LOG_SIGNED)                     \
 	X(CHIRP, "debug[", NF_LOG_GROUP_DEBUG, LOG_CHIRP_FIELDS, 1, 3, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG8_8SVB)      \
 	X(DEBUG, "debug[", NF_LOG_GROUP_DEBUG, DEBUGS, 1, 2, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG8_8SVB)                \
 	X(EXACT_GYRO, "gyroFloat[", NF_LOG_GROUP_EXACT, 3, 0, 5, ZERO, LOG_UNSIGNED, PREVIOUS, LOG_TAG8_8SVB)          \
 	X(EXACT_SETPOINT, "setpointFloat[", NF_LOG_GROUP_EXACT, 4, 0, 5, ZERO, LOG_UNSIGNED, PREVIOUS, LOG_TAG8_8SVB)  \
 	X(RAW, "gyroRaw[", NF_LOG_GROUP_REPLAY, SAMPLES, 1, 3, ZERO, LOG_SIGNED, PREVIOUS, LOG_SIGNED)                 \
 	X(RAW_ACC, "accRaw[", NF_LOG_GROUP_REPLAY, 3, 1, 3, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG2_3S32)                 \
+	X(ROTORS, "rotorWord[", NF_LOG_GROUP_REPLAY, MOTORS, 0, 3, ZERO, LOG_UNSIGNED, PREVIOUS, LOG_SIGNED)           \
 	X(FLAGS, "sampleFlags", NF_LOG_GROUP_REPLAY, 1, 0, 3, ZERO, LOG_UNSIGNED, PREVIOUS, LOG_TAG8_8SVB)             \
 	X(LOST, "lost", NF_LOG_GROUP_REPLAY, 1, 0, 3, ZERO, LOG_UNSIGNED, PREVIOUS, LOG_TAG8_8SVB)                     \
 	X(CHECK, "inputCheck", NF_LOG_GROUP_REPLAY, 1, 0, 2, ZERO, LOG_UNSIGNED, ZERO, LOG_UNSIGNED)                   \
@@ -138,6 +141,8 @@ static void frames_choose(struct log_frames *f)
 		const struct row *row = &rows[number];
 		if (row->group != ALWAYS && f->left_out >> row->group & 1u)
 			continue;
+		if (!f->rotors && (number == ROW_ERPM || number == ROW_ROTORS))
+			continue;
 		for (unsigned i = 0; i < frames_count(f, row) && f->count < NF_LOG_FIELDS_MAX; ++i)
 			frames_add(f, number, i);
 	}
@@ -170,9 +175,11 @@ static bool frames_fit(const struct log_frames *f)
 	return f->count < NF_LOG_FIELDS_MAX && bytes <= NF_LOG_FRAME_BYTES_MAX && characters <= LOG_NAME_LINE_MAX;
 }
 
-void log_frames_init(struct log_frames *f, uint32_t left_out, unsigned samples)
+void log_frames_init(struct log_frames *f, uint32_t left_out, unsigned samples, bool rotors)
 {
-	*f = (struct log_frames){ .left_out = left_out, .samples = samples, .observed = POLICY_OBSERVATION_COUNT };
+	*f = (struct log_frames){
+		.left_out = left_out, .samples = samples, .rotors = rotors, .observed = POLICY_OBSERVATION_COUNT
+	};
 	frames_choose(f);
 	while (f->observed > 0 && !frames_fit(f)) {
 		--f->observed;
@@ -199,6 +206,7 @@ static int32_t frames_rounded(float value, float scale, float most)
 #define RSSI_MAX 1023u /* the ecosystem's 100 % */
 #define CHECK_MASK 0x3FFFu
 #define CYCLES_MAX 0x7FFFFFFu
+#define ERPM_US 600000u /* electrical turns of 1 us in 100 a minute: the ecosystem's unit */
 #define COUNTS_DEG_S ((float)NF_GYRO_FULL_SCALE_DEG_S / (float)NF_GYRO_COUNTS)
 
 static void frames_deg_s(const float rad_s[3], int32_t out[3])
@@ -254,6 +262,17 @@ static void frames_chirp(const struct log_record *r, int32_t out[LOG_CHIRP_FIELD
 	out[3] = frames_rounded(r->chirp.added, NF_DEG_PER_RAD, THREE_BYTES_MAX);
 }
 
+/* By motor. A word that is no speed leaves the one before. */
+static void frames_erpm(const struct log_step *step, const int32_t last[], int32_t out[])
+{
+	for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i) {
+		const unsigned word = step->record->rotors[step->mount->outputs[i]];
+		const unsigned period = rotors_period_us(word);
+		const int32_t turns = period > 0 ? (int32_t)(ERPM_US / period) : 0;
+		out[i] = rotors_tells_speed(word) ? turns : last[i];
+	}
+}
+
 static void frames_debug(const struct log_frames *f, const struct log_record *r, int32_t out[])
 {
 	for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i)
@@ -284,7 +303,7 @@ _Static_assert(LOG_SUBSAMPLES_MAX <= 8, "a byte of bits");
 
 /* A checksum of all inputs of the step and of its motor values, in the two bytes of a field: a wrong bit in a file is
  * found at its step, even if no motor value depends on it. */
-static int32_t frames_check(const struct log_step *step)
+static int32_t frames_check(const struct log_frames *f, const struct log_step *step)
 {
 	const struct log_record *r = step->record;
 	const uint16_t counts[2] = { r->samples, r->receiver_count };
@@ -297,12 +316,16 @@ static int32_t frames_check(const struct log_step *step)
 	crc = crc32_more(crc, counts, sizeof counts);
 	crc = crc32_more(crc, r->gyro, r->samples * sizeof r->gyro[0]);
 	crc = crc32_more(crc, r->accel, sizeof r->accel);
+	if (f->rotors)
+		crc = crc32_more(crc, r->rotors, POLICY_ACTION_COUNT * sizeof r->rotors[0]);
 	crc = crc32_more(crc, r->receiver_bytes, r->receiver_count);
 	crc = crc32_more(crc, r->trace.dshot, POLICY_ACTION_COUNT * sizeof r->trace.dshot[0]);
 	return (int32_t)(crc & CHECK_MASK);
 }
 
-static void frames_load_row(const struct log_frames *f, const struct log_step *step, unsigned row, int32_t out[])
+/* last: of the frame before. */
+static void frames_load_row(const struct log_frames *f, const struct log_step *step, unsigned row, const int32_t last[],
+			    int32_t out[])
 {
 	const struct log_record *r = step->record;
 	const struct control_trace *t = &r->trace;
@@ -354,6 +377,9 @@ static void frames_load_row(const struct log_frames *f, const struct log_step *s
 		for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i)
 			out[i] = t->dshot[i];
 		break;
+	case ROW_ERPM:
+		frames_erpm(step, last, out);
+		break;
 	case ROW_CHIRP:
 		frames_chirp(r, out);
 		break;
@@ -374,6 +400,10 @@ static void frames_load_row(const struct log_frames *f, const struct log_step *s
 		for (unsigned i = 0; i < 3; ++i)
 			out[i] = r->accel[i];
 		break;
+	case ROW_ROTORS:
+		for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i)
+			out[i] = r->rotors[i];
+		break;
 	case ROW_FLAGS:
 		out[0] = frames_flags(f, r);
 		break;
@@ -381,7 +411,7 @@ static void frames_load_row(const struct log_frames *f, const struct log_step *s
 		out[0] = (int32_t)(r->lost < UINT16_MAX ? r->lost : UINT16_MAX);
 		break;
 	case ROW_CHECK:
-		out[0] = frames_check(step);
+		out[0] = frames_check(f, step);
 		break;
 	case ROW_CYCLES:
 		out[0] = (int32_t)(r->cycles < CYCLES_MAX ? r->cycles : CYCLES_MAX);
@@ -391,10 +421,13 @@ static void frames_load_row(const struct log_frames *f, const struct log_step *s
 	}
 }
 
-static void frames_load(const struct log_frames *f, const struct log_step *step, int32_t values[])
+static void frames_load(struct log_frames *f, const struct log_step *step)
 {
+	int32_t *now = f->values[f->present];
+	const int32_t *last = f->values[(f->present + 1) % 3];
+
 	for (unsigned i = 0; i < f->count; i += frames_count(f, &rows[f->fields[i].row]))
-		frames_load_row(f, step, f->fields[i].row, values + i);
+		frames_load_row(f, step, f->fields[i].row, last + i, now + i);
 }
 
 /* --- Frames ------------------------------------------------------------------------------------------------------ */
@@ -454,7 +487,7 @@ size_t log_frames_intra(struct log_frames *f, const struct log_step *step, uint8
 {
 	const unsigned now = f->present = (f->present + 2) % 3;
 
-	frames_load(f, step, f->values[now]);
+	frames_load(f, step);
 	memcpy(f->values[(now + 1) % 3], f->values[now], sizeof f->values[now]);
 	return frames_write(f, LOG_INTRA, bytes);
 }
@@ -462,6 +495,6 @@ size_t log_frames_intra(struct log_frames *f, const struct log_step *step, uint8
 size_t log_frames_inter(struct log_frames *f, const struct log_step *step, uint8_t bytes[NF_LOG_FRAME_BYTES_MAX])
 {
 	f->present = (f->present + 2) % 3;
-	frames_load(f, step, f->values[f->present]);
+	frames_load(f, step);
 	return frames_write(f, LOG_INTER, bytes);
 }

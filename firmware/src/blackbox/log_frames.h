@@ -29,19 +29,21 @@ struct log_field {
 };
 
 struct log_frames {
-	struct log_field fields[NF_LOG_FIELDS_MAX]; /* of the main frames */
-	unsigned count;
+	unsigned count; /* of `fields` */
 	uint32_t left_out; /* bit field of enum nf_log_group: those asked for, and those that found no room */
 	unsigned samples; /* gyro samples a control step */
+	bool rotors; /* the ESCs tell rotor speeds */
 	unsigned observed; /* inputs of the policy that found room, the first ones */
 	unsigned present; /* which of the values is the present frame's; the one before it is the last frame's .. */
+	struct log_field fields[NF_LOG_FIELDS_MAX]; /* of the main frames */
 	int32_t values[3][NF_LOG_FIELDS_MAX];
 };
 
-/* Mounting of the chip in the aircraft, and the gyro's bias at rest. */
+/* Mounting of the chip in the aircraft, and the gyro's bias at rest; wiring of the motors. */
 struct log_mount {
 	float turn[3][3]; /* from the chip's axes to the body's */
 	const float *bias; /* rad/s, body axes */
+	uint8_t outputs[POLICY_ACTION_COUNT]; /* of each motor */
 };
 
 /* A control step, and what the background knows beside it. */
@@ -63,12 +65,13 @@ struct log_slow {
 	uint32_t receiver_count;
 	uint32_t receiver[LOG_RECEIVER_WORDS]; /* its bytes, little-endian */
 	uint32_t dropped; /* control steps that this log lacks so far */
+	uint32_t motors; /* bit fields: whose ESC is silent; from bit 8 on: which are weak */
 };
 
-/* Chooses the fields of a log. `left_out`: the setting. Fields that do not fit into a frame of NF_LOG_FRAME_BYTES_MAX
+/* Chooses the fields of a log. `left_out`: the setting; rotors: the ESCs tell rotor speeds. Fields that do not fit into a frame of NF_LOG_FRAME_BYTES_MAX
  * or on the line of names are omitted as well: first the policy's inputs, which a replay computes again, then whole
  * groups. */
-void log_frames_init(struct log_frames *frames, uint32_t left_out, unsigned samples);
+void log_frames_init(struct log_frames *frames, uint32_t left_out, unsigned samples, bool rotors);
 
 /* The next main frame is the first, or the first behind a gap: an intra frame. Its values are predicted from nothing. */
 size_t log_frames_intra(struct log_frames *frames, const struct log_step *step, uint8_t bytes[NF_LOG_FRAME_BYTES_MAX]);
@@ -83,7 +86,8 @@ uint32_t log_flags(const struct log_record *record);
 /* The same flags once the motors have been stopped so, without a control step. */
 uint32_t log_flags_stopped(uint32_t flags, unsigned state, unsigned stop_cause);
 
-void log_slow_load(struct log_slow *slow, const struct log_step *step, uint32_t left_out, uint32_t dropped);
+void log_slow_load(struct log_slow *slow, const struct log_step *step, const struct log_frames *frames,
+		   uint32_t dropped);
 
 /* Does `slow` tell more than `last` did? */
 bool log_slow_tells(const struct log_slow *slow, const struct log_slow *last);

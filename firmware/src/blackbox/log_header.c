@@ -109,6 +109,8 @@ static const char *header_mix(enum nf_mix mix)
 	X("maxthrottle", printer_say(out, "2000"))                                                                \
 	X("gyro_scale", printer_say(out, "0x3f800000"))                                                           \
 	X("motorOutput", printer_say(out, TEXT(NF_DSHOT_MIN) "," TEXT(NF_DSHOT_MAX)))                             \
+	X("motor_poles", printer_say(out, "%u", (unsigned)s->motor_poles))                                        \
+	X("dshot_bidir", printer_say(out, "%u", (unsigned)s->motor_telemetry))                                    \
 	X("acc_1G", printer_say(out, "2048"))                                                                     \
 	X("vbatref", printer_say(out, "%u", (unsigned)about->volts_cv))                                           \
 	X("vbatcellvoltage",                                                                                      \

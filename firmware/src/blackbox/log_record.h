@@ -30,6 +30,9 @@ struct log_record {
 	uint32_t sample; /* gyro samples since boot when the step began */
 	uint32_t cycles; /* that the step took */
 	uint32_t lost; /* gyro samples lost since the last control step */
+	uint16_t rotors[NF_MOTOR_COUNT_MAX]; /* words of the ESCs, by output; only where motor_telemetry is on */
+	uint8_t silent_motors, weak_motors; /* bit fields, likewise */
+	uint16_t reserved;
 	float observation[POLICY_OBSERVATION_COUNT]; /* what the policy was given last */
 	float action[POLICY_ACTION_COUNT]; /* the controller's last answer, before the throttle */
 	int16_t accel[3]; /* counts of the last good sample, chip axes */

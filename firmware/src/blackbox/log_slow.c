@@ -23,6 +23,7 @@
 	X("edgeGain", LOG_UNSIGNED, slow->gain)                       \
 	X("edgeFlags", LOG_UNSIGNED, slow->edges)                     \
 	X("dropped", LOG_UNSIGNED, slow->dropped)                     \
+	X("motorFlags", LOG_UNSIGNED, slow->motors)                   \
 	X("rxCount", LOG_UNSIGNED, slow->receiver_count)              \
 	X("rxBytes[0]", LOG_TAG8_8SVB, slow->receiver[0])             \
 	X("rxBytes[1]", LOG_TAG8_8SVB, slow->receiver[1])             \
@@ -88,7 +89,8 @@ static uint32_t slow_failsafe(const struct log_record *r)
 	return r->state == NF_FLIGHT_FAILSAFE_HOLD ? 1u : r->state == NF_FLIGHT_FAILSAFE_DROP ? 2u : 0u;
 }
 
-void log_slow_load(struct log_slow *slow, const struct log_step *step, uint32_t left_out, uint32_t dropped)
+void log_slow_load(struct log_slow *slow, const struct log_step *step, const struct log_frames *frames,
+		   uint32_t dropped)
 {
 	const struct log_record *r = step->record;
 
@@ -99,8 +101,9 @@ void log_slow_load(struct log_slow *slow, const struct log_step *step, uint32_t 
 		.channels_good = r->receiver_good != 0,
 		.step = step->iteration,
 		.dropped = dropped,
+		.motors = frames->rotors ? r->silent_motors | (uint32_t)r->weak_motors << 8 : 0u,
 	};
-	if (left_out >> NF_LOG_GROUP_REPLAY & 1u)
+	if (frames->left_out >> NF_LOG_GROUP_REPLAY & 1u)
 		return;
 	slow->forbidden = r->forbidden;
 	memcpy(&slow->gain, &r->voltage_gain, sizeof slow->gain);
@@ -113,7 +116,7 @@ bool log_slow_tells(const struct log_slow *slow, const struct log_slow *last)
 {
 	return slow->receiver_count != 0 || slow->edges != 0 || slow->flags != last->flags ||
 	       slow->receiver_good != last->receiver_good || slow->forbidden != last->forbidden ||
-	       slow->gain != last->gain || slow->dropped != last->dropped;
+	       slow->gain != last->gain || slow->dropped != last->dropped || slow->motors != last->motors;
 }
 
 size_t log_frames_slow(const struct log_slow *slow, uint8_t bytes[NF_LOG_FRAME_BYTES_MAX])

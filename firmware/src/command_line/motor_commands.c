@@ -1,5 +1,6 @@
 /* motor: turns one motor for some seconds, under the interlock of the motor test. */
 #include "command_line/command.h"
+#include "common/nf_math.h"
 #include "policy.h"
 
 #define SECONDS_MAX 5u
@@ -48,11 +49,34 @@ static void motor_fail(const struct task_line *t, const char *why)
 	printer_line(t->out, "motor: %s", why);
 }
 
+/* What the ESC tells, where it is asked. */
+static void motor_say_told(const struct task_line *t, unsigned motor)
+{
+	const struct rotors *r = t->services->rotors;
+	const unsigned errors = rotors_errors(r, motor);
+
+	if (!r->on)
+		return;
+	if (r->silent >> motor & 1u) {
+		printer_say(t->out, ", its ESC is silent");
+		return;
+	}
+	printer_say(t->out, ", ");
+	printer_fixed(t->out, r->speed[motor] * (30.0f / NF_PI), 0);
+	printer_say(t->out, " rpm, %u.%u %% errors", errors / 100u, errors / 10u % 10u);
+	if (r->known[motor] >> NF_ESC_TEMPERATURE & 1u)
+		printer_say(t->out, ", %u deg C", r->told[motor][NF_ESC_TEMPERATURE]);
+	if (r->known[motor] >> NF_ESC_CURRENT & 1u)
+		printer_say(t->out, ", %u A", r->told[motor][NF_ESC_CURRENT]);
+}
+
 static bool motor_list(const struct task_line *t)
 {
 	const char *const test = t->row > 0 ? "" : t->cl->motor.allowed ? ", test on" : ", test off";
 
-	printer_line(t->out, "motor %u: DShot %u%s", t->row + 1, t->status->trace.dshot[t->row], test);
+	printer_say(t->out, "motor %u: DShot %u", t->row + 1, t->status->trace.dshot[t->row]);
+	motor_say_told(t, t->row);
+	printer_line(t->out, "%s", test);
 	return t->row + 1 < POLICY_ACTION_COUNT;
 }
 

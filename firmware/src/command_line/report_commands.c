@@ -95,8 +95,16 @@ static void status_load(const struct task_line *t)
 
 static void status_motors(const struct task_line *t)
 {
+	const struct rotors *rotors = t->services->rotors;
+
 	printer_say(t->out, "motors: %u, outputs that had stuck set up anew %u times", t->status->trace.motor_count,
 		    (unsigned)t->services->motor_restarts(t->services->context));
+	if (!rotors->on)
+		return;
+	printer_say(t->out, rotors->silent ? ", ESCs that are silent:" : ", all ESCs tell rotor speeds");
+	for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i)
+		if (rotors->silent >> i & 1u)
+			printer_say(t->out, " %u", i + 1u);
 }
 
 static void status_gyro(const struct task_line *t)

@@ -8,6 +8,7 @@
 #include "nf_contract.h"
 #include "port/board_identity.h"
 #include "port/flash.h"
+#include "sensing/rotors.h"
 #include "storage/fault_log.h"
 #include "storage/image_update.h"
 #include "storage/policy_slots.h"
@@ -23,6 +24,7 @@ struct services {
 	struct image_update *image;     /* the bank that is not run */
 	struct fault_log *faults;
 	struct blackbox *blackbox;
+	const struct rotors *rotors;    /* speeds that the ESCs tell; each number may change at any time */
 	const struct task_stats *tasks; /* [TASK_COUNT] */
 	uint32_t cycles_hz;             /* of the cycles they tell */
 	void *context;                  /* of the functions below */

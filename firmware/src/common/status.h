@@ -56,6 +56,7 @@ struct firmware_status {
 	float sag_v; /* voltage drop by the load */
 	uint8_t cells; /* 0: not known */
 	uint8_t battery_level; /* enum battery_level */
-	uint8_t gyro_identity; /* WHO_AM_I of the gyro chip, known or not; 0: nothing was read */
+	uint8_t gyro_identity; /* what the gyro chip says it is, known or not; 0: nothing was read */
+	uint8_t gyro_chip; /* enum gyro_chip + 1; 0: none that is known */
 	uint8_t brown_out; /* the detector's level + 1, 1: it is off; 0: not told */
 };

@@ -25,6 +25,7 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 	control->handover_steps = POLICY_CONTROL_RATE_HZ * NF_HANDOVER_MS / 1000u;
 	control->reversed = config->settings->motors_reversed != 0;
 	pid_init(&control->pid, config->pid, config->settings);
+	dynamic_idle_init(&control->dynamic_idle, config->settings, POLICY_CONTROL_RATE_HZ);
 	estimator_init(&control->estimator, policy);
 	if ((err = mixer_init(&mixers[CONTROLLER_POLICY], config->settings, idle, mix)) != NF_OK ||
 	    (err = mixer_init(&mixers[CONTROLLER_PID], config->settings, config->pid->idle, config->pid->mix)) != NF_OK)
@@ -32,6 +33,8 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 	if ((err = observation_init(&control->observation, &terms, POLICY_ACTION_COUNT, POLICY_OBSERVATION_COUNT,
 				    POLICY_CONTROL_RATE_HZ)) != NF_OK)
 		return err;
+	control->estimator.measures = observation_sees(&control->observation, NF_OBSERVATION_ROTOR_MEASURED);
+	control->sees_rotors = observation_sees(&control->observation, NF_OBSERVATION_ROTOR_SPEED);
 	control_reset(control);
 	return NF_OK;
 }
@@ -64,6 +67,7 @@ void control_rest(struct control *control)
 	control_clear(control, CONTROLLER_PID);
 	control_clear(control, CONTROLLER_POLICY);
 	estimator_reset(&control->estimator);
+	dynamic_idle_reset(&control->dynamic_idle);
 	control->fresh = true;
 }
 
@@ -121,7 +125,7 @@ static bool control_within_range(const float action[POLICY_ACTION_COUNT])
 }
 
 /* Steps the controller that flies. Returns whether its output may be flown. */
-static bool control_answer(struct control *control, const struct control_input *input)
+static bool control_answer(struct control *control, const struct control_input *input, const float *rotor_speed)
 {
 	/* Held by the ground nothing moves by what the motors did: a policy that sees its own answers then adds to them. */
 	static const float none[POLICY_ACTION_COUNT];
@@ -131,6 +135,7 @@ static bool control_answer(struct control *control, const struct control_input *
 		.previous_action = input->held ? none : control->action,
 		.throttle = input->throttle,
 		.previous_motors = input->held ? none : control->motors,
+		.rotor_speed = rotor_speed,
 		.rotor_estimate = control->estimator.rotor,
 		.rate_estimate = control->estimator.rate,
 		.rate_estimate_error = control->estimator.error,
@@ -149,7 +154,7 @@ static bool control_answer(struct control *control, const struct control_input *
 /* Advances the model by a control step, before the controller that flies. */
 static __attribute__((noinline)) void control_estimate(struct control *control, const struct control_input *input)
 {
-	estimator_advance(&control->estimator);
+	estimator_advance(&control->estimator, input->rotor_speed, input->rotors_silent);
 	if (control->flying != CONTROLLER_POLICY)
 		return;
 	const float rest = mixer_rest(&control->mixers[CONTROLLER_POLICY], input->throttle);
@@ -190,9 +195,26 @@ static void control_hand_over(struct control *control, bool changed, float outpu
 		output[i] = limit(output[i] + share * control->offset[i], 0.0f, most);
 }
 
+/* Rotor speeds are missing of a policy that observes them. Writes them, those that are missing from its model. */
+static __attribute__((noinline)) void control_model_rotors(struct control *control, const struct control_input *input,
+							   float speed[POLICY_ACTION_COUNT])
+{
+	const bool modelled = control->estimator.model.delay > 0;
+
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
+		speed[i] = modelled && (input->rotors_silent >> i & 1u) ? control->estimator.speed[i] :
+									  input->rotor_speed[i];
+}
+
 static bool control_fly(struct control *control, const struct control_input *input, float output[POLICY_ACTION_COUNT])
 {
 	const enum controller before = control->flying;
+	const bool lacks = control->sees_rotors && input->rotors_silent != 0;
+	float modelled[POLICY_ACTION_COUNT];
+
+	if (lacks && control->estimator.model.delay == 0 && !control->latched && !input->pid_wanted &&
+	    control->good[CONTROLLER_POLICY])
+		control_fall_back(control, NF_FALLBACK_ROTORS);
 	const enum controller chosen = control_choose(control, input->pid_wanted);
 
 	control->fresh = false;
@@ -202,16 +224,21 @@ static bool control_fly(struct control *control, const struct control_input *inp
 		if (!control->latched)
 			control->fallback = chosen == CONTROLLER_PID ? NF_FALLBACK_SWITCH : NF_FALLBACK_NONE;
 	}
+	if (control->dynamic_idle.wanted > 0.0f)
+		mixer_raise_idle(&control->mixers[chosen],
+				 dynamic_idle_step(&control->dynamic_idle, input->rotor_speed, input->rotors_silent));
 	if (control->estimator.model.delay > 0)
 		control_estimate(control, input);
-	if (!control_answer(control, input)) {
+	if (lacks)
+		control_model_rotors(control, input, modelled);
+	if (!control_answer(control, input, lacks ? modelled : input->rotor_speed)) {
 		control_fall_back(control, NF_FALLBACK_POLICY_OUTPUT);
 		if (!control->latched) {
 			control->good[CONTROLLER_POLICY] = false;
 			return false;
 		}
 		control_begin(control, CONTROLLER_PID);
-		control_answer(control, input);
+		control_answer(control, input, input->rotor_speed);
 	}
 	control_mix(control, input->throttle, output);
 	control_hand_over(control, control->flying != before && !control->first && !control->distrusted, output);

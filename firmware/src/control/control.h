@@ -2,6 +2,7 @@
 #pragma once
 
 #include "common/held.h"
+#include "control/dynamic_idle.h"
 #include "control/estimator.h"
 #include "control/mixer.h"
 #include "control/observation.h"
@@ -29,6 +30,8 @@ struct control_input {
 	const float *setpoint;         /* [3] rad/s, body */
 	const float *rate;             /* [3] rad/s, body */
 	float throttle;                /* 0..1 */
+	const float *rotor_speed;      /* [POLICY_ACTION_COUNT] rad/s, as ESCs tell it */
+	uint32_t rotors_silent;        /* bit field: motors whose speed is not known */
 	bool pid_wanted;               /* the pilot's switch */
 	bool standing;                 /* it has not taken off: integrals do not grow */
 	bool held;                     /* nor is the throttle raised so far: the policy does not see what it has
@@ -40,11 +43,13 @@ struct control {
 	struct observation observation;
 	struct estimator estimator;
 	struct pid pid;
+	struct dynamic_idle dynamic_idle;
 	struct mixer mixers[CONTROLLER_COUNT]; /* each with its controller's idle and mix */
 	HELD(const float *, weights);
 	bool good[CONTROLLER_COUNT];         /* may fly */
 	enum nf_fallback_cause refused;      /* why the policy must not fly until it is acknowledged; NONE: it may */
 	bool reversed;                       /* the motors turn the other way than the controllers know them */
+	bool sees_rotors;                    /* the policy observes rotor speeds */
 	bool first;                          /* no step since the reset */
 	bool fresh;                          /* the controllers remember nothing */
 	enum controller flying;              /* since the last step */
@@ -77,7 +82,9 @@ void control_rest(struct control *control);
 /* Which reasons forbid arming with the switch so: POLICY_BAD, POLICY_REFUSED, PID_MISSING or none. */
 uint32_t control_reasons(const struct control *control, bool pid_wanted);
 
-/* One control step: writes the motors' fractions, 0..1. An output of the policy that is NaN or out of range is never
+/* One control step: writes the motors' fractions, 0..1. Where the policy observes the speed of a rotor whose ESC is silent, it
+ * gets the one that its model of the aircraft has; a policy without a model is not flown: the PID takes over, and the policy is
+ * refused until it is acknowledged. Where there is no PID, it flies on with the last speed. An output of the policy that is NaN or out of range is never
  * flown: the PID computes the same step, and the policy is refused until it is acknowledged. Returns false, `output`
  * unset, if there is no PID to do so; that policy is bad from then on. */
 bool control_step(struct control *control, const struct control_input *input, float output[POLICY_ACTION_COUNT]);

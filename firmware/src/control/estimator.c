@@ -41,8 +41,9 @@ static inline float estimator_target(const struct estimator_model *model, float 
 	return (model->curve[0] * command + model->curve[1]) * command + model->curve[2];
 }
 
-void estimator_advance(struct estimator *estimator)
+void estimator_advance(struct estimator *estimator, const float measured[POLICY_ACTION_COUNT], uint32_t silent)
 {
+	const uint32_t modelled = estimator->measures ? silent : UINT32_MAX;
 	const struct estimator_model *model = &estimator->model;
 	const float *command = estimator->commands[estimator->oldest];
 	const float loss_max = -model->loss_max;
@@ -52,7 +53,7 @@ void estimator_advance(struct estimator *estimator)
 		const float away = estimator_target(model, command[i]) - speed;
 		const float change = (away > 0.0f ? model->rise : model->fall) * away;
 		const float next = speed + limit(change, loss_max, model->gain_max);
-		const float after = next > 0.0f ? next : 0.0f;
+		const float after = !(modelled >> i & 1u) ? measured[i] : next > 0.0f ? next : 0.0f;
 		estimator->gained[i] = after - speed;
 		estimator->speed[i] = after;
 	}

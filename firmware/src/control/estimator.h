@@ -22,6 +22,7 @@ struct estimator {
 	struct estimator_model model;
 	float commands[NF_ESTIMATOR_DELAY_MAX + 1][POLICY_ACTION_COUNT]; /* a ring of model.delay + 1 steps */
 	uint32_t oldest;                     /* of them */
+	bool measures;                       /* the rotors are the measured ones, as far as ESCs tell */
 	float speed[POLICY_ACTION_COUNT];    /* rad/s */
 	float gained[POLICY_ACTION_COUNT];   /* rad/s, in this control step; known once it has begun */
 	float rotor[POLICY_ACTION_COUNT];    /* rad/s, speed less that at rest under the throttle */
@@ -36,8 +37,9 @@ void estimator_init(struct estimator *estimator, const struct nf_policy_blob_hea
 /* Rotors stand still, and nothing was commanded. */
 void estimator_reset(struct estimator *estimator);
 
-/* A control step begins: the rotors go on by one. */
-void estimator_advance(struct estimator *estimator);
+/* A control step begins: the rotors go on by one, or to the speeds that are measured [rad/s]. silent: bit field of motors without
+ * one. */
+void estimator_advance(struct estimator *estimator, const float measured[POLICY_ACTION_COUNT], uint32_t silent);
 
 /* Then, where the policy flies: fills in `rotor`, `rate` and `error`.
  *

@@ -10,6 +10,7 @@ _Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
 enum nf_err mixer_init(struct mixer *mixer, const struct nf_settings *settings, float idle, enum nf_mix mix)
 {
 	mixer->mix = mix;
+	mixer->raised = 0.0f;
 	mixer->limit = settings->motor_limit;
 	mixer->motor_stop = settings->motor_stop != 0;
 	return mixer_set_idle(mixer, idle);
@@ -71,13 +72,20 @@ void mixer_mix(const struct mixer *mixer, const float action[POLICY_ACTION_COUNT
 
 float mixer_rest(const struct mixer *mixer, float throttle)
 {
-	return mixer->idle + mixer->span * throttle;
+	return mixer->idle + mixer->raised + (mixer->span - mixer->raised) * throttle;
 }
 
 void mixer_raise(const struct mixer *mixer, const float mixed[POLICY_ACTION_COUNT], float output[POLICY_ACTION_COUNT])
 {
+	const float idle = mixer->idle + mixer->raised, span = mixer->span - mixer->raised;
+
 	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
-		output[i] = mixer->idle + mixer->span * mixed[i];
+		output[i] = idle + span * mixed[i];
+}
+
+void mixer_raise_idle(struct mixer *mixer, float by)
+{
+	mixer->raised = by < mixer->span ? by : mixer->span;
 }
 
 bool mixer_stops(const struct mixer *mixer, float throttle)

@@ -7,6 +7,7 @@
 struct mixer {
 	float idle; /* output at zero thrust, [0, limit] */
 	float span; /* from there to the limit */
+	float raised; /* of the idle, for now */
 	float limit; /* largest output, (0, 1] */
 	bool motor_stop;
 	enum nf_mix mix;
@@ -27,6 +28,9 @@ enum nf_err mixer_set_idle(struct mixer *mixer, float idle);
  * throttle, and all motors are raised until none is below 0, or lowered until none is above 1. */
 void mixer_mix(const struct mixer *mixer, const float action[POLICY_ACTION_COUNT], float throttle,
 	       float mixed[POLICY_ACTION_COUNT]);
+
+/* Raises the idle by so much [output, 0 or more] until the next call, at most to the limit. */
+void mixer_raise_idle(struct mixer *mixer, float by);
 
 /* Outputs, idle..limit, of fractions 0..1 before the idle. */
 void mixer_raise(const struct mixer *mixer, const float mixed[POLICY_ACTION_COUNT], float output[POLICY_ACTION_COUNT]);

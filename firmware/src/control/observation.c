@@ -20,10 +20,12 @@ SOURCE(rate_error_delta, o->delta)
 SOURCE(rate_error_integral, o->integral)
 SOURCE(previous_action, input->previous_action)
 SOURCE(throttle, &input->throttle)
+SOURCE(rotor_speed, input->rotor_speed)
 SOURCE(previous_motors, input->previous_motors)
 SOURCE(rotor_estimate, input->rotor_estimate)
 SOURCE(rate_estimate, input->rate_estimate)
 SOURCE(rate_estimate_error, input->rate_estimate_error)
+SOURCE(rotor_measured, input->rotor_estimate)
 
 /* Sources of the blocks, indexed by block code. */
 static const struct block {
@@ -80,6 +82,14 @@ void observation_reset(struct observation *o)
 	}
 	memset(o->memory, 0, sizeof o->memory);
 	memset(o->turns, 0, sizeof o->turns);
+}
+
+bool observation_sees(const struct observation *o, enum nf_observation block)
+{
+	for (uint32_t i = 0; i < o->count; ++i)
+		if (o->blocks[i] == (unsigned char)block)
+			return true;
+	return false;
 }
 
 static void observation_update(struct observation *o, const struct observation_input *input)

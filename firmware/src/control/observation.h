@@ -11,6 +11,7 @@ struct observation_input {
 	const float *setpoint;        /* [3] rad/s, body */
 	const float *previous_action; /* [motor_count], the policy's last output; zeros on the first step */
 	float throttle;               /* 0..1 */
+	const float *rotor_speed;     /* [motor_count] rad/s; used only by terms that need it */
 	const float *previous_motors; /* [motor_count], the last fractions before the idle, less the throttle */
 	/* Outputs of the estimator; used only by terms that need them. */
 	const float *rotor_estimate; /* [motor_count] rad/s */
@@ -42,6 +43,9 @@ struct observation {
 	float memory[NF_OBSERVATION_MEMORY_MAX];
 	unsigned char turns[NF_OBSERVATION_TERMS_MAX];
 };
+
+/* Is the block among the terms? */
+bool observation_sees(const struct observation *o, enum nf_observation block);
 
 /* The arrays of `terms` must outlive the observation. NF_ERR_OBSERVATION for an unknown code (a block that this
  * core has no source for, say), an age, gain or count beyond the bounds above, terms that would remember more

@@ -10,6 +10,10 @@
 #define COUNT_SLOTS 7u  /* from one beep to the next */
 #define COUNT_PAUSE 24u /* slots between two rounds */
 
+/* Pattern of a motor's number: long beeps. */
+#define LONG_SLOTS 9u
+#define LONG_STEP 14u   /* from one to the next */
+
 /* '#' is on, '.' is off, each for SLOT_MS. */
 struct rhythm {
 	const char *slots; /* NULL: this condition leaves the output to the next one */
@@ -29,6 +33,7 @@ static const struct rhythm rhythms[ALERT_CONDITION_COUNT][ALERT_OUTPUT_COUNT] = 
 	[ALERT_RECEIVER_LOST] = { REPEATED("##..##.............."), REPEATED("##..##..............") },
 	[ALERT_TOOK_OVER] = { REPEATED("##.##.##.##........."), REPEATED("##.") },
 	[ALERT_BATTERY_LOW] = { REPEATED("########.."), REPEATED("########..") },
+	[ALERT_MOTOR] = { REPEATED("#."), REPEATED("#.") }, /* counted */
 	[ALERT_FAULT_TOLD] = { REPEATED("#."), NOTHING }, /* counted */
 	[ALERT_POLICY_REFUSED] = { REPEATED("########..##..##...................."),
 				   REPEATED("########..##..##........") },
@@ -45,8 +50,8 @@ static uint32_t alert_muted(const struct nf_settings *settings)
 {
 	return MUTED_IF_OFF(beep_not_arming, ALERT_NOT_ARMING) | MUTED_IF_OFF(beep_crashed, ALERT_CRASHED) |
 	       MUTED_IF_OFF(beep_receiver_lost, ALERT_RECEIVER_LOST) | MUTED_IF_OFF(beep_took_over, ALERT_TOOK_OVER) |
-	       MUTED_IF_OFF(beep_battery_low, ALERT_BATTERY_LOW) | MUTED_IF_OFF(beep_fault, ALERT_FAULT_TOLD) |
-	       MUTED_IF_OFF(beep_policy_refused, ALERT_POLICY_REFUSED) |
+	       MUTED_IF_OFF(beep_battery_low, ALERT_BATTERY_LOW) | MUTED_IF_OFF(beep_motor, ALERT_MOTOR) |
+	       MUTED_IF_OFF(beep_fault, ALERT_FAULT_TOLD) | MUTED_IF_OFF(beep_policy_refused, ALERT_POLICY_REFUSED) |
 	       MUTED_IF_OFF(beep_battery_warn, ALERT_BATTERY_WARN) | MUTED_IF_OFF(beep_armed, ALERT_ARMED) |
 	       MUTED_IF_OFF(beep_disarmed, ALERT_DISARMED);
 }
@@ -87,6 +92,14 @@ static bool alert_counting(unsigned count, uint32_t slot)
 	return place >= LEAD_SLOTS && place < round && (place - LEAD_SLOTS) % COUNT_SLOTS < BEEP_SLOTS;
 }
 
+static bool alert_numbering(unsigned number, uint32_t slot)
+{
+	const uint32_t round = LONG_STEP * (number > 0 ? number : 1u);
+	const uint32_t place = slot % (round + COUNT_PAUSE);
+
+	return place < round && place % LONG_STEP < LONG_SLOTS;
+}
+
 unsigned alert_count(uint32_t reasons)
 {
 	static const uint8_t told[] = NF_ARMING_COUNTS;
@@ -125,6 +138,8 @@ static bool alert_play(struct alert *alert, enum alert_output output, uint32_t c
 		return alert_flashing(counts->fault, slot / BEEP_SLOTS);
 	if (condition == ALERT_NOT_ARMING)
 		return alert_counting(counts->not_arming, slot);
+	if (condition == ALERT_MOTOR)
+		return alert_numbering(counts->motor, slot);
 	return alert_on(&rhythms[condition][output], slot);
 }
 

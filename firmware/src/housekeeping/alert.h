@@ -12,6 +12,7 @@ enum alert_condition {
 	ALERT_RECEIVER_LOST, /* after it was heard */
 	ALERT_TOOK_OVER,     /* the PID, a moment ago and in flight */
 	ALERT_BATTERY_LOW,
+	ALERT_MOTOR,         /* a motor is weak, or its ESC silent: its number in long beeps and flashes */
 	ALERT_FAULT_TOLD,    /* what forbids arming for good: the beeper beeps as often as the LED flashes */
 	ALERT_POLICY_REFUSED,/* it fell back in flight, and nobody acknowledged that */
 	ALERT_BATTERY_WARN,
@@ -45,6 +46,7 @@ void alert_init(struct alert *alert, const struct nf_settings *settings);
 struct alert_counts {
 	unsigned fault;      /* 0 counts as 1 */
 	unsigned not_arming;
+	unsigned motor;      /* 0 counts as 1 */
 };
 
 /* The count of the most urgent of these reasons, a bit field of enum nf_arming_reason; 0: none is counted. */

@@ -19,9 +19,19 @@
 #define AMPS_MAX 1000.0f
 #define CHARGE_PER_MAH (3600u * BATTERY_RATE_HZ)
 
-void battery_init(struct battery *battery, const struct nf_settings *settings)
+void battery_init(struct battery *battery, const struct nf_settings *settings, const struct board_identity *board)
 {
-	*battery = (struct battery){ .settings = settings, .level = BATTERY_UNKNOWN };
+	*battery = (struct battery){ .settings = settings, .board = board, .level = BATTERY_UNKNOWN };
+}
+
+float battery_volts_scale(const struct nf_settings *settings, const struct board_identity *board)
+{
+	return settings->battery_scale > 0.0f ? settings->battery_scale : board->volts_scale;
+}
+
+float battery_amps_scale(const struct nf_settings *settings, const struct board_identity *board)
+{
+	return settings->current_scale > 0.0f ? settings->current_scale : board->amps_scale;
 }
 
 static void battery_measure(struct battery *battery, float volts, float amps)
@@ -97,8 +107,8 @@ void battery_step(struct battery *battery, uint16_t volts_mv, uint16_t amps_mv, 
 		battery->level = BATTERY_UNKNOWN;
 		return;
 	}
-	const float amps = limit((float)amps_mv / settings->current_scale, 0.0f, AMPS_MAX);
-	battery_measure(battery, (float)volts_mv * VOLTS_PER_MV * settings->battery_scale, amps);
+	const float amps = limit((float)amps_mv / battery_amps_scale(settings, battery->board), 0.0f, AMPS_MAX);
+	battery_measure(battery, (float)volts_mv * VOLTS_PER_MV * battery_volts_scale(settings, battery->board), amps);
 	battery->charge += (uint32_t)(amps * MILLI + 0.5f);
 	battery->mah += battery->charge / CHARGE_PER_MAH;
 	battery->charge %= CHARGE_PER_MAH;

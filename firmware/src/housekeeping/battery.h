@@ -2,6 +2,7 @@
 #pragma once
 
 #include "nf_contract.h"
+#include "port/board_identity.h"
 
 #define BATTERY_RATE_HZ NF_BATTERY_RATE_HZ /* of battery_step */
 
@@ -14,6 +15,7 @@ enum battery_level {
 
 struct battery {
 	const struct nf_settings *settings;
+	const struct board_identity *board; /* its scales where the settings have none */
 	enum battery_level level; /* UNKNOWN also below 2.5 V a cell; it rises again 0.1 V a cell above its limit */
 	unsigned cells;      /* of the pack; 0: not known yet */
 	float volts;         /* of the pack, filtered; 0 until measured */
@@ -26,8 +28,12 @@ struct battery {
 	bool measured;       /* volts hold a measurement */
 };
 
-/* `settings` must outlive the battery. */
-void battery_init(struct battery *battery, const struct nf_settings *settings);
+/* Both must outlive the battery. */
+void battery_init(struct battery *battery, const struct nf_settings *settings, const struct board_identity *board);
+
+/* The scales of voltage and current: the settings', or where they are 0 the board's. */
+float battery_volts_scale(const struct nf_settings *settings, const struct board_identity *board);
+float battery_amps_scale(const struct nf_settings *settings, const struct board_identity *board);
 
 /* A measurement, BATTERY_RATE_HZ times a second: millivolts at the pins of the divider and of the current sensor.
  * Not valid: the numbers are not read, and the level is unknown until one is.

@@ -107,6 +107,12 @@ static __attribute__((noinline)) bool dshot_command_send(struct dshot_command *s
 	return telling;
 }
 
+void dshot_command_unsent(struct dshot_command *self)
+{
+	if (self->left > 0)
+		++self->left;
+}
+
 bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot[])
 {
 	if (!stopped) {

@@ -33,5 +33,9 @@ enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, 
  * bit that these frames need. Not `stopped`: the sequence is over and `dshot` left alone. */
 bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot[]);
 
+/* The frames of the last step, which asked for the telemetry bit, were not sent: the next one is as that. The wire is busy
+ * with answers at some samples, and each command wants its count of frames. */
+void dshot_command_unsent(struct dshot_command *self);
+
 /* Returns whether a command is requested or in progress; nothing should arm until it has ended. */
 bool dshot_command_busy(const struct dshot_command *self);

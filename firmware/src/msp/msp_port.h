@@ -15,14 +15,14 @@
 
 struct msp_port {
 	const struct services *services;
-	struct msp msp;                      /* the request being read */
+	bool letter;       /* NF_MSP_ROM_LETTER is heard */
+	uint8_t hidden;    /* bytes of what may be a request, at the start of a line */
+	uint8_t held_from, held; /* bytes that wait for the command line: the first's place, and how many */
+	uint32_t heard_at; /* gyro sample at which bytes came last */
 	struct msp_peer peer;
 	struct command_line command_line;
-	bool letter;       /* NF_MSP_ROM_LETTER is heard */
-	uint32_t heard_at; /* gyro sample at which bytes came last */
-	uint8_t hidden;                      /* bytes of what may be a request, at the start of a line */
-	uint8_t held_from, held; /* bytes that wait for the command line: the first's place, and how many */
 	uint8_t holds[MSP_PORT_HOLDS];
+	struct msp msp;    /* the request being read */
 };
 
 /* `services` must outlive the port. */

@@ -195,6 +195,29 @@ static void reply_motor(struct msp_writer *w, const struct msp_request *q)
 }
 
 /* The ecosystem's order is roll, pitch, yaw, throttle, then the switches. */
+/* What extended telemetry has told of a motor, times the units that a reply has in its own; 0: nothing. */
+static unsigned reply_told(const struct rotors *rotors, unsigned motor, enum nf_esc_told kind, unsigned units)
+{
+	return rotors->known[motor] >> kind & 1u ? rotors->told[motor][kind] * units : 0u;
+}
+
+/* Each number is read at once: a control step may fall between two of them. */
+static void reply_motor_telemetry(struct msp_writer *w, const struct msp_request *q)
+{
+	const struct rotors *rotors = q->services->rotors;
+
+	msp_put_u8(w, POLICY_ACTION_COUNT);
+	for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i) {
+		const float rpm = rotors->speed[i] * (30.0f / NF_PI);
+		msp_put_u32(w, (uint32_t)limit(rpm + 0.5f, 0.0f, 1e6f));
+		msp_put_u16(w, rotors_errors(rotors, i));
+		msp_put_u8(w, reply_told(rotors, i, NF_ESC_TEMPERATURE, 1));
+		msp_put_u16(w, reply_told(rotors, i, NF_ESC_VOLTAGE, 25));
+		msp_put_u16(w, reply_told(rotors, i, NF_ESC_CURRENT, 100));
+		msp_put_u16(w, 0); /* charge: not told */
+	}
+}
+
 static void reply_rc(struct msp_writer *w, const struct msp_request *q)
 {
 	const uint16_t *channels_us = q->status->channels_us;
@@ -369,6 +392,7 @@ static void reply_safety(struct msp_writer *w, const struct msp_request *q)
 	msp_put_u8(w, status->gyro_identity);
 	msp_put_u8(w, status->brown_out);
 	msp_put_u8(w, status->airborne);
+	msp_put_u8(w, status->gyro_chip);
 }
 
 static const struct command {

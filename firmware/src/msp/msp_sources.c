@@ -5,6 +5,7 @@
 #include "blackbox/log_frames.h"
 #include "common/limit.h"
 #include "common/nf_math.h"
+#include "housekeeping/battery.h"
 #include "msp/msp_logs.h"
 #include "policy.h"
 #include "storage/settings.h"
@@ -14,7 +15,6 @@
 #define MIXER_QUAD_X 3u
 #define MIXER_HEX_X 10u
 #define MIXER_OTHER 23u
-#define GYRO_IDENTITY(name) NF_GYRO_IDENTITY_##name,
 
 /* --- Features, receiver, arming, beeper -------------------------------------------------------------- */
 static uint32_t sources_features(const struct nf_settings *s)
@@ -99,15 +99,11 @@ static enum nf_refusal sources_set_beepers(struct nf_settings *s, uint32_t value
 
 /* --- Battery ------------------------------------------------------------------------------------------ */
 /* The ecosystem's divider has tenths of a volt for whole numbers up to 255. */
-static float sources_divider(const struct nf_settings *s)
+static uint32_t sources_voltage(const struct msp_request *q, unsigned part)
 {
-	return s->battery_scale <= 25.5f ? 10.0f : 2.0f;
-}
-
-static uint32_t sources_voltage(const struct nf_settings *s, unsigned part)
-{
-	const float divider = sources_divider(s);
-	const float parts[] = { s->battery_scale * divider, divider, 1.0f };
+	const float scale = battery_volts_scale(q->settings, q->services->identity);
+	const float divider = scale <= 25.5f ? 10.0f : 2.0f;
+	const float parts[] = { scale * divider, divider, 1.0f };
 
 	return (uint32_t)(parts[part] + 0.5f);
 }
@@ -118,12 +114,17 @@ enum nf_refusal msp_source_set_voltage(const struct msp_request *q, const uint8_
 	bool same = true;
 
 	for (unsigned part = 0; part < 3; ++part)
-		same &= parts[part] == sources_voltage(s, part);
+		same &= parts[part] == sources_voltage(q, part);
 	if (same)
 		return NF_REFUSAL_NONE;
 	if (parts[1] == 0 || parts[2] == 0)
 		return NF_REFUSAL_RANGE;
 	return settings_set_number(s, SETTING_AT_battery_scale, (float)parts[0] / ((float)parts[1] * (float)parts[2]));
+}
+
+static uint32_t sources_current(const struct msp_request *q)
+{
+	return (uint32_t)(battery_amps_scale(q->settings, q->services->identity) * 10.0f + 0.5f);
 }
 
 /* --- Rates ---------------------------------------------------------------------------------------------- */
@@ -325,16 +326,12 @@ static enum nf_refusal sources_set_fields_off(struct nf_settings *s, uint32_t va
 }
 
 /* --- Gyro ------------------------------------------------------------------------------------------------- */
-static uint32_t sources_gyro_hardware(unsigned identity)
+/* chip: enum gyro_chip + 1, 0: none that is known. */
+static uint32_t sources_gyro_hardware(unsigned chip)
 {
-	static const uint8_t identities[] = { NF_GYRO_IDENTITIES(GYRO_IDENTITY) };
 	static const uint8_t hardware[NF_MSP_GYRO_HARDWARE_COUNT] = NF_MSP_GYRO_HARDWARE;
-	_Static_assert(sizeof identities == NF_MSP_GYRO_HARDWARE_COUNT, "a number for each chip");
 
-	for (size_t i = 0; i < sizeof identities; ++i)
-		if (identities[i] == identity)
-			return hardware[i];
-	return 0;
+	return chip == 0 ? 0 : hardware[chip - 1];
 }
 
 /* --- All of them ------------------------------------------------------------------------------------------ */
@@ -380,7 +377,9 @@ uint32_t msp_source_get(const struct msp_request *q, enum nf_msp_source source, 
 	case NF_MSP_SOURCE_BEEPERS:
 		return sources_beepers(s);
 	case NF_MSP_SOURCE_DIVIDER:
-		return sources_voltage(s, argument);
+		return sources_voltage(q, argument);
+	case NF_MSP_SOURCE_CURRENT:
+		return sources_current(q);
 	case NF_MSP_SOURCE_LOG_RATE:
 		return sources_log_rate(s);
 	case NF_MSP_SOURCE_LOG_INTRA:
@@ -390,7 +389,7 @@ uint32_t msp_source_get(const struct msp_request *q, enum nf_msp_source source, 
 	case NF_MSP_SOURCE_LOG_CARD:
 		return msp_log_card(q->services->blackbox, argument);
 	case NF_MSP_SOURCE_GYRO_HARDWARE:
-		return sources_gyro_hardware(q->status->gyro_identity);
+		return sources_gyro_hardware(q->status->gyro_chip);
 	}
 	return 0;
 }
@@ -435,6 +434,8 @@ enum nf_refusal msp_source_set(const struct msp_request *q, enum nf_msp_source s
 		return sources_set_beepers(s, value);
 	case NF_MSP_SOURCE_DIVIDER:
 		return NF_REFUSAL_NONE; /* msp_source_set_voltage has taken all three together */
+	case NF_MSP_SOURCE_CURRENT:
+		return settings_set_number(s, SETTING_AT_current_scale, (float)value / 10.0f);
 	case NF_MSP_SOURCE_LOG_RATE:
 		return sources_set_log_rate(s, value);
 	case NF_MSP_SOURCE_LOG_FIELDS_OFF:

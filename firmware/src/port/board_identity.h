@@ -1,4 +1,4 @@
-/* Identity of a board for MSP peers. */
+/* Identity of a board, and what the pilot's settings leave to it. */
 #pragma once
 
 #include <stdbool.h>
@@ -12,4 +12,6 @@ struct board_identity {
 	const char *mcu;         /* the chip's name, at most 32 letters */
 	bool osd_chip;           /* a MAX7456 is on the board; this firmware leaves it alone */
 	uint32_t unique_id[3];
+	float volts_scale;       /* volts at the pack for one at the pin; above 0 */
+	float amps_scale;        /* mV at the pin for an ampere; above 0 */
 };

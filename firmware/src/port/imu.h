@@ -1,27 +1,12 @@
-/* Gyro chips: which one, how it is mounted, and one sample of it. */
+/* Gyro chips: how they are mounted, and one sample. Which there are: enum gyro_chip of nf_contract.h. */
 #pragma once
 
 #include <stdbool.h>
 #include <stdint.h>
 
-/* How the chip is turned on the board, clockwise seen from above. CW0: its x forward, y left, z up. */
-enum board_alignment {
-	ALIGN_CW0,
-	ALIGN_CW90,
-	ALIGN_CW180,
-	ALIGN_CW270,
-	ALIGN_COUNT,
-};
+#include "nf_contract.h"
 
-enum gyro_chip {
-	GYRO_MPU6500,
-	GYRO_ICM20689,
-	GYRO_ICM20602,
-	GYRO_ICM20601,
-	GYRO_ICM20608G,
-	GYRO_MPU9250,
-	GYRO_CHIP_COUNT,
-};
+#define ALIGN_COUNT 8u /* enum board_alignment: clockwise seen from above. CW0: the chip's x forward, y left, z up */
 
 /* Counts in chip axes. */
 struct imu_sample {

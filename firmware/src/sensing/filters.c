@@ -8,7 +8,7 @@
 #include "policy.h"
 
 /* Of the longest list: each number has 10 digits at most, and a stage two of them. */
-#define HASHED_BYTES (NF_FILTER_STAGES * sizeof ",[\"biquad\",4294967295,4294967295]" + 96u)
+#define HASHED_BYTES (NF_FILTER_STAGES * sizeof ",[\"biquad\",4294967295,4294967295]" + 128u)
 
 /* Composition of a kind. `widen`: n low-passes in a row reach 0.707 at f if each does at f widen, 1 / sqrt(2^(1/n) -
  * 1). */
@@ -117,6 +117,12 @@ static uint32_t filters_hash_with(const struct nf_settings *settings, bool mean)
 	const char *between = "";
 
 	printer_say(&out, "[");
+	if (settings->motor_telemetry && settings->rpm_filter_harmonics > 0) {
+		printer_say(&out, "[\"rpm\",%u,%u,%u]", (unsigned)settings->rpm_filter_harmonics,
+			    filters_thousandths(settings->rpm_filter_min_hz),
+			    filters_thousandths(settings->rpm_filter_q));
+		between = ",";
+	}
 	for (size_t i = 0; i < NF_FILTER_STAGES; ++i) {
 		const struct stage_settings s = filters_stage_settings(settings, i);
 		if (s.kind == NF_FILTER_NONE)

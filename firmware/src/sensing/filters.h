@@ -1,4 +1,4 @@
-/* The gyro's filters: a chain of up to NF_FILTER_STAGES, the same on each axis, then the dynamic notches, then the mean of a
+/* The gyro's filters behind the notches on the rotors' turns (rpm_filter.h): a chain of up to NF_FILTER_STAGES, the same on each axis, then the dynamic notches, then the mean of a
  * control period's samples (gyro_mean.h). Default: the mean where the policy was trained behind it, else none. A policy
  * flies behind the filters that it was trained with, so their hash is part of it. */
 #pragma once
@@ -45,7 +45,8 @@ void filters_step(struct filters *filters, float rate[3]);
 bool filters_take_mean(const struct nf_settings *settings);
 
 /* What a policy blob says of the filters that it was trained behind (filters_hash): CRC-32 of the JSON list of the
- * filters as set. One list a filter, in order: its kind, then hertz and, where it has one, quality, both times 1000
+ * filters as set. One list a filter, in order: first the notches on the rotors' turns,
+ * ["rpm",harmonics,least hertz,quality]; then of each stage its kind, then hertz and, where it has one, quality, both times 1000
  * and rounded: [["pt1",100000],["notch",180000,3000]]; behind them the notches that follow tones,
  * ["dynamic",count,low,high,quality], and last the mean, ["mean"]. NF_POLICY_FILTERS_NONE for [], no filter. */
 uint32_t filters_hash(const struct nf_settings *settings);

@@ -11,28 +11,34 @@ _Static_assert(NF_GYRO_FULL_SCALE_DEG_S == 2000 && NF_GYRO_COUNTS == 32768, "RAT
 #define STEP (NF_CALIBRATION_STEP_DEG_S * NF_RAD_PER_DEG)
 #define FULL_SWING (2.0f * (float)NF_GYRO_COUNTS) /* counts */
 
-/* Body axis i is chip axis `axis[i]` times `sign[i]`. Turned clockwise, the chip's x points to the right. */
+/* Body axis i is chip axis `axis[i]` times `sign[i]`. Turned clockwise, the chip's x points to the right; flipped, half a
+ * turn about its own y comes first. */
 static const struct rotation {
 	uint8_t axis[3];
 	int8_t sign[3];
 } rotations[] = {
-	[ALIGN_CW0] = { { 0, 1, 2 }, { 1, 1, 1 } },
-	[ALIGN_CW90] = { { 1, 0, 2 }, { 1, -1, 1 } },
-	[ALIGN_CW180] = { { 0, 1, 2 }, { -1, -1, 1 } },
-	[ALIGN_CW270] = { { 1, 0, 2 }, { -1, 1, 1 } },
+	[ALIGN_CW0] = { { 0, 1, 2 }, { 1, 1, 1 } },          [ALIGN_CW90] = { { 1, 0, 2 }, { 1, -1, 1 } },
+	[ALIGN_CW180] = { { 0, 1, 2 }, { -1, -1, 1 } },      [ALIGN_CW270] = { { 1, 0, 2 }, { -1, 1, 1 } },
+	[ALIGN_CW0_FLIP] = { { 0, 1, 2 }, { -1, 1, -1 } },   [ALIGN_CW90_FLIP] = { { 1, 0, 2 }, { 1, 1, -1 } },
+	[ALIGN_CW180_FLIP] = { { 0, 1, 2 }, { 1, -1, -1 } }, [ALIGN_CW270_FLIP] = { { 1, 0, 2 }, { -1, -1, -1 } },
 };
 _Static_assert(sizeof rotations / sizeof rotations[0] == ALIGN_COUNT, "one rotation an alignment");
 
-/* Data sheets: MPU-6500 rev. 1.1 and ICM-20689 rev. 1.1, register TEMP_OUT. The others are from PX4's register
- * headers; the ICM-20601 is assumed to equal its family, because its data sheet was not read. */
+/* Data sheets: MPU-6500 rev. 1.1 and ICM-20689 rev. 1.1, register TEMP_OUT. The others of InvenSense are from PX4's
+ * register headers, the LSM6DS's from ST's driver; ICM-20601 and LSM6DSK320X are assumed to equal their families, because
+ * their data sheets were not read. */
 static const struct thermometer {
 	float counts_per_degree;
 	float zero_c; /* at 0 counts */
 } thermometers[] = {
-	[GYRO_MPU6500] = { 333.87f, 21.0f }, [GYRO_ICM20689] = { 326.8f, 25.0f },  [GYRO_ICM20602] = { 326.8f, 25.0f },
-	[GYRO_ICM20601] = { 326.8f, 25.0f }, [GYRO_ICM20608G] = { 326.8f, 25.0f }, [GYRO_MPU9250] = { 333.87f, 21.0f },
+	[GYRO_MPU6500] = { 333.87f, 21.0f },   [GYRO_ICM20689] = { 326.8f, 25.0f },
+	[GYRO_ICM20602] = { 326.8f, 25.0f },   [GYRO_ICM20601] = { 326.8f, 25.0f },
+	[GYRO_ICM20608G] = { 326.8f, 25.0f },  [GYRO_MPU9250] = { 333.87f, 21.0f },
+	[GYRO_MPU6000] = { 340.0f, 36.53f },   [GYRO_ICM42688P] = { 132.48f, 25.0f },
+	[GYRO_ICM42605] = { 132.48f, 25.0f },  [GYRO_BMI270] = { 512.0f, 23.0f },
+	[GYRO_LSM6DSV16X] = { 256.0f, 25.0f }, [GYRO_LSM6DSK320X] = { 256.0f, 25.0f },
 };
-_Static_assert(sizeof thermometers / sizeof thermometers[0] == GYRO_CHIP_COUNT, "one thermometer a chip");
+_Static_assert(sizeof thermometers / sizeof thermometers[0] == NF_GYRO_IDENTITIES_COUNT, "one thermometer a chip");
 
 static __attribute__((noinline)) void gyro_turn(const float turn[3][3], float vector[3])
 {

@@ -97,23 +97,33 @@ static bool policy_blob_models(const struct nf_policy_blob_header *header)
 	       policy_blob_positive(rotor[LOSS], NF_MODEL_NUMBER_MAX) && policy_blob_positive(rotor[CORRECTION], 1.0f);
 }
 
-/* Returns whether an observation term needs a model. The terms are this image's, which has the same architecture. */
-static bool policy_blob_needs_model(const struct nf_policy_blob_header *header)
+enum model_use { MODEL_UNUSED, MODEL_WELCOME, MODEL_NEEDED };
+
+/* What the observation's terms need a model for: estimates are made by it, and rotor speeds taken from it where an ESC is
+ * silent. The terms are this image's, which has the same architecture. */
+static enum model_use policy_blob_model_use(const struct nf_policy_blob_header *header)
 {
+	enum model_use use = MODEL_UNUSED;
+
 	for (uint32_t i = 0; i < header->observation_term_count && i < NF_OBSERVATION_TERMS_MAX; ++i) {
 		const unsigned block = header->observation_blocks[i];
 		if (block == NF_OBSERVATION_ROTOR_ESTIMATE || block == NF_OBSERVATION_RATE_ESTIMATE ||
-		    block == NF_OBSERVATION_RATE_ESTIMATE_ERROR)
-			return true;
+		    block == NF_OBSERVATION_RATE_ESTIMATE_ERROR || block == NF_OBSERVATION_ROTOR_MEASURED)
+			return MODEL_NEEDED;
+		if (block == NF_OBSERVATION_ROTOR_SPEED)
+			use = MODEL_WELCOME;
 	}
-	return false;
+	return use;
 }
 
-/* Is there a good model, or none where none is needed? */
+/* Is there a good model where one is used, or none where none is needed? */
 static bool policy_blob_modelled(const struct nf_policy_blob_header *header)
 {
-	return policy_blob_needs_model(header) ? header->model_delay > 0 && policy_blob_models(header) :
-						 header->model_delay == 0;
+	const enum model_use use = policy_blob_model_use(header);
+
+	if (header->model_delay == 0)
+		return use != MODEL_NEEDED;
+	return use != MODEL_UNUSED && policy_blob_models(header);
 }
 
 enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t size,

@@ -292,6 +292,10 @@ static float settings_filter_delay_s(const struct nf_settings *settings)
 	float delay_s = (float)settings->dynamic_notch_count /
 			(TURN * settings->dynamic_notch_low_hz * settings->dynamic_notch_q);
 
+	for (uint32_t i = 1; settings->motor_telemetry && i <= settings->rpm_filter_harmonics; ++i)
+		delay_s += (float)POLICY_ACTION_COUNT /
+			   (TURN * (float)i * settings->rpm_filter_min_hz * settings->rpm_filter_q);
+
 	for (unsigned stage = SETTING_AT_filter1_kind; stage < SETTING_AT_dynamic_notch_count; stage += 3)
 		delay_s += settings_slowness(settings_whole(settings, stage), settings_number(settings, stage + 2)) /
 			   (TURN * settings_number(settings, stage + 1));

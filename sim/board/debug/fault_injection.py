@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.core.engine import CPI
+from neuroflight.sim.board.devices.esc import AnswerFaults
 from neuroflight.sim.board.devices.sd_card import CardFault
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.registers.bus import load_table
@@ -68,14 +69,26 @@ def _overload(board: Board, seconds: float) -> None:
 
 
 def _stop_timer(board: Board, _: float) -> None:
-    """Stop TIM8: it sends DMA no more requests, so that the stream of motors 1 to 4 never ends."""
-    block = load_table().blocks["TIM8"]
+    """Stop TIM1: it sends DMA no more requests, so that no stream of the motors ever ends."""
+    block = load_table().blocks["TIM1"]
     address = block.base + block.registers["CR1"].offset
     board.engine.store(address, 4, board.engine.load(address, 4) & ~1)  # CEN
 
 
+def _silence(board: Board, motor: float) -> None:
+    """Let the ESC of that motor obey frames, and answer none."""
+    if motor > len(board.hardware.escs):
+        raise ScenarioError(f"esc-silent={motor:g}: the board has motors 1 to {len(board.hardware.escs)}")
+    board.hardware.escs[int(motor) - 1].spoil(AnswerFaults(silence=1.0))
+
+
+def _disturb(board: Board, share: float) -> None:
+    for esc in board.hardware.escs:
+        esc.spoil(AnswerFaults(noise=share))
+
+
 def _card(fault: CardFault) -> Callable[[Board, float], None]:
-    return lambda board, value: board.hardware.card_slot.strike(fault, value)
+    return lambda board, value: board.hardware.log_place.strike(fault, value)
 
 
 def _hang(board: Board, _: float) -> None:
@@ -102,12 +115,14 @@ FAULTS = {
     "hang": FaultKind(begin=_hang),
     "processor-fault": FaultKind(begin=lambda board, _: setattr(board.engine, "pc", NOWHERE)),
     "motors-stuck": FaultKind(begin=_stop_timer),
+    "esc-silent": FaultKind(Value(1, 1, 8, whole=True), _silence),  # number of the motor
+    "esc-noise": FaultKind(Value(0.01, 1e-9, 1.0), _disturb),  # share of the samples of all lines
     "overload": FaultKind(Value(0.0006, 1e-6, 0.1), _overload),  # seconds
     "card-stall": FaultKind(Value(0.5, 0.0001, SECONDS_MAX), _card(CardFault.STALL), of_card=True),
     "card-removed": FaultKind(
         _SECONDS,
         _card(CardFault.REMOVED),
-        lambda board: board.hardware.card_slot.strike(CardFault.INSERTED),
+        lambda board: board.hardware.log_place.strike(CardFault.INSERTED),
         of_card=True,
     ),
     "card-errors": FaultKind(Value(0.01, 1e-9, 1.0), _card(CardFault.ERRORS), of_card=True),  # share

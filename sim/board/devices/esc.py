@@ -1,21 +1,33 @@
-"""DShot as a motor's ESC sees it: pulses on a line, from which frames come or an error that names the motor.
+"""DShot as a motor's ESC sees it: edges on a pin, from which frames come or an error that names the motor.
 
-C takes plain frames (native/c/esc.c). `Esc.pulses` decodes the first one, which tells the protocol, and says
-what is wrong with pulses that are no frame.
+C takes plain frames and sends the answers (native/c/esc.c). `Esc.take` decodes the first frame, which tells
+the protocol, and says what is wrong with edges that are no frame.
 
-A bit lasts 1.667 us with DShot600 and 3.333 us with DShot300; its pulse is 37.5 % of that for a 0 and 75 %
-for a 1. A frame is 16 bits, most significant first: 11 of the value, the telemetry bit, and a checksum, the
-exclusive or of the three nibbles before it; between frames the line rests low for 2 us or more.
+A bit lasts 1.667 us with DShot600, 3.333 us with DShot300 and 6.667 us with DShot150; it begins with a
+pulse, short for a 0 and long for a 1. A frame is 16 bits, most significant first: 11 of the value, the
+telemetry bit, and a checksum, the exclusive or of the three nibbles before it. Between frames the line rests
+low. It rests high, with low pulses and the checksum inverted, where answers are asked for (bidirectional).
 
-The protocol states nominal times only. Decoders compare each pulse with half of the frame's mean bit, which
-leaves a quarter of a bit to either side; ESCs measure with RC oscillators of some per cent. `TOLERANCE` is
-ours: what a good controller keeps to, and an ESC takes however its oscillator stands.
+What decoders take (their sources, read in 2026):
+- AM32 (Src/dshot.c) compares each pulse with 1/32 of the time from the first to the last edge, 0.48 to 0.49
+  bits, and refuses frames that are 6 % longer or shorter than those that it began with (Src/signal.c).
+- Bluejay (src/Modules/Isrs.asm, Macros.asm, Bluejay.asm) counts each pulse at 24.5 MHz: less than 8 ticks
+  with DShot600 are none, 16 ticks (0.653 us, 0.392 bits) are a 1; its oscillator may be 2 % off. A frame ends
+  after 64 ticks without a pulse, 1.6 bits. DShot300 has twice as many ticks.
+- Controllers send 3/8 and 6/8 of a bit (timers) or 1/3 and 2/3 (ports written thrice a bit).
+The limits below are what controllers send, 5 % to either side, and what all of these take: `ZERO` ends at
+0.384 for Bluejay's sake. Bits that are not evenly spaced and rests of less than two bits are refused.
+DShot150 is BLHeli_S's; AM32 and Bluejay do not know it.
 
 An ESC whose line is silent stops its motor: AM32 half a second after the last frame (Src/main.c, signal
 timeout when armed), BLHeli_S and Bluejay 160 ms after it (ten overflows of timer 2 at 16 ms). `SILENT_S` is
 the longer: what an aircraft has to live with.
 
-AM32 and Bluejay find the speed out when they start; others are set to one. `Esc.fitted` says which.
+AM32 and Bluejay find speed and rest level out when they start; others are set to one, `Esc.fitted`.
+
+Its answer to a bidirectional frame begins about 30 us after it: 16 bits (12 of the word, 4 of its inverted
+checksum), each nibble as five bits (GCR), after a 0 that begins it; a 1 changes the line's level, a bit lasts
+4/5 of the frame's. C sends `Esc.answer`; what spoils it can be set beside.
 """
 
 from __future__ import annotations
@@ -23,18 +35,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NoReturn
 
 from neuroflight.sim.board.core.context import TIME_HZ, Kept
+from neuroflight.sim.board.native.library import Native
+from neuroflight.toolchain.boards.facts import Pin
 
-PROTOCOLS = {300: 300_000, 600: 600_000}  # bits a second
-TOLERANCE = 0.05  # of a nominal time
-GAP_S = 2e-6  # least rest between frames
+PROTOCOLS = {150: 150_000, 300: 300_000, 600: 600_000}  # bits a second
+TOLERANCE = 0.05  # of a bit's time; of its place among the others
+ZERO, ONE = (0.317, 0.384), (0.633, 0.788)  # of a bit, that a pulse may take
+GAP_BITS = 2  # least rest between frames
+ANSWER_S = 30e-6  # from the end of a frame
 SILENT_S = 0.5  # without a frame, then the motor stops
 FRAME_BITS = 16
 NO_FRAME = 0xFFFFFFFF  # of api.h
-_HIGH = (0.375, 0.75)  # of a bit, for 0 and 1
+NO_ANSWER = 0xFFFF  # of api.h
+_BROKEN_OFF = TIME_HZ // 10_000  # a frame that has not gone on for so long [cycles]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,28 +62,39 @@ class Frame:
     cycle: int  # at which the frame's last bit ended
     value: int  # 0..2047
     telemetry: bool
-    protocol: int  # 300 or 600
+    protocol: int  # 150, 300 or 600
+    inverted: bool = False  # bidirectional
+
+
+@dataclass(frozen=True)
+class AnswerFaults:
+    """Faults of an ESC's answers, and of the line while they come."""
+
+    delay_s: float = ANSWER_S  # from the frame's end
+    clock: float = 0.0  # by which share its bits are too long
+    jitter_s: float = 0.0  # of each edge at most, to both sides
+    noise: float = 0.0  # share of the program's samples that are wrong
+    silence: float = 0.0  # share of frames that it does not answer
+    stuck: bool | None = None  # the level that the line has while the program does not drive it
 
 
 class Esc(Kept):
-    """The receiving end of one motor's line. `fail` is called with the error, and must not return."""
+    """The ESC of one motor. `fail` is called with the error, and must not return."""
 
-    kept = ("_bits", "_length", "_next")
-
-    def __init__(self, in_c: Any, fail: Callable[[str], NoReturn]) -> None:  # noqa: ANN401 - struct esc
-        """in_c: its state, which C changes with each plain frame."""
-        self._in_c, self._fail = in_c, fail
-        self.motor = in_c.motor + 1
+    def __init__(self, native: Native, motor: int, pin: Pin, fail: Callable[[str], NoReturn]) -> None:
+        """motor: from 0, in order."""
+        self._native, self._fail, self.pin = native, fail, pin
+        place = ord(pin.port) - ord("A"), pin.number
+        self._in_c: Any = native.library.native_esc(native.handle, motor, *place)
+        self.motor = motor + 1
         self.fitted: int | None = None  # the protocol that it is set to; None: it takes what comes first
         self.on_frame: Callable[[Frame], None] = lambda frame: None
-        self._bits: tuple[int, ...] = ()  # high times [cycles] of a frame that is not complete yet
-        self._length = 0  # of its bits [cycles]
-        self._next = 0  # cycle at which its next bit has to begin
+        self.spoil(AnswerFaults())
         self.silence(forget=True)
 
     @property
     def protocol(self) -> int | None:
-        """300 or 600; None: whatever the first bit says."""
+        """150, 300 or 600; None: whatever the first frame says."""
         return int(self._in_c.protocol) or None
 
     @protocol.setter
@@ -75,6 +103,11 @@ class Esc(Kept):
         bit = TIME_HZ / PROTOCOLS[protocol] if protocol else 0.0
         self._in_c.protocol = protocol or 0
         self._in_c.shortest, self._in_c.longest = math.ceil(bit * (1 - TOLERANCE)), int(bit * (1 + TOLERANCE))
+
+    @property
+    def inverted(self) -> bool:
+        """True if its frames are bidirectional ones; False before the first, too."""
+        return bool(self._in_c.inverted)
 
     @property
     def frames(self) -> int:
@@ -86,59 +119,104 @@ class Esc(Kept):
         state = self._in_c
         return None if state.last == NO_FRAME else self.frame(state.last_cycle, state.last)
 
+    @property
+    def edges(self) -> tuple[int, ...]:
+        """Edges of the last frame that it took [cycle]; empty while another one comes."""
+        return () if self._in_c.edge_count else tuple(self._in_c.edges)
+
     def frame(self, cycle: int, data: int) -> Frame:
         assert self.protocol is not None
-        return Frame(self.motor, cycle, data >> 1, bool(data & 1), self.protocol)
+        return Frame(self.motor, cycle, data >> 1, bool(data & 1), self.protocol, self.inverted)
 
-    def pulses(self, start: int, length: int, highs: Sequence[int]) -> None:
-        """Decode periods of `length` cycles from cycle `start` on, high for `highs` cycles each."""
-        position, count = 0, len(highs)
-        while position < count:
-            if not self._bits:
-                while position < count and not highs[position]:
-                    position += 1
-                if position == count:
-                    return
-                self._open(start + position * length, length)
-            elif length != self._length:
+    # ---- answers ----
+
+    @property
+    def answer(self) -> int | None:
+        """Word of 12 bits that answers bidirectional frames from the next one on; None: it stays silent."""
+        return None if self._in_c.answer == NO_ANSWER else int(self._in_c.answer)
+
+    @answer.setter
+    def answer(self, word: int | None) -> None:
+        if word is not None and not 0 <= word < 1 << 12:
+            raise ValueError(f"an ESC's answer is {word}, expected 12 bits")
+        self._in_c.answer = NO_ANSWER if word is None else word
+
+    @property
+    def answers(self) -> int:
+        """Answers that it has sent, or begun to."""
+        return int(self._in_c.answers)
+
+    def spoil(self, faults: AnswerFaults) -> None:
+        """Spoil its answers from the next one on."""
+        state, lib = self._in_c, self._native.library
+        state.delay, state.jitter = round(faults.delay_s * TIME_HZ), round(faults.jitter_s * TIME_HZ)
+        state.bit_factor = 1.0 + faults.clock
+        state.noise, state.silence = faults.noise, faults.silence
+        state.stuck = {None: lib.STUCK_NOT, False: lib.STUCK_LOW, True: lib.STUCK_HIGH}[faults.stuck]
+
+    # ---- frames ----
+
+    def take(self, edges: Sequence[int], rest: bool) -> None:
+        """Decode what C does not: the first frame, or edges of which no frame comes. rest: level before."""
+        if len(edges) < 2 * FRAME_BITS:
+            self._break_off(len(edges))
+        spaces = [after - before for before, after in pairwise(edges[::2])]
+        length = sum(spaces) / len(spaces)
+        self._validate_rest(edges[0], length, rest)
+        protocol = self._find_protocol(length)
+        for number, (place, begin) in enumerate(zip(edges[::2], range(FRAME_BITS), strict=True), 1):
+            off = place - edges[0] - begin * length
+            if abs(off) > TOLERANCE * length:
                 self._fail(
-                    f"motor {self.motor}: a bit lasts {_us(length)}, the one before it {_us(self._length)}"
+                    f"motor {self.motor}: bit {number} begins {_us(abs(off))} too "
+                    f"{'late' if off > 0 else 'early'}, expected bits of {_us(length)} each"
                 )
-            elif start + position * length != self._next:
-                self._fail(f"motor {self.motor}: a frame pauses after {len(self._bits)} bits")
-            taken = tuple(highs[position : position + FRAME_BITS - len(self._bits)])
-            if 0 in taken:
-                missing = len(self._bits) + taken.index(0)
-                self._fail(f"motor {self.motor}: a frame ends after {missing} bits, expected {FRAME_BITS}")
-            self._bits += taken
-            position += len(taken)
-            self._next = start + position * length
-            if len(self._bits) == FRAME_BITS:
-                self._close(start + position * length)
+        data = self._decode(edges, length, rest)
+        self.protocol, self._in_c.inverted = protocol, rest
+        self.accept(self.frame(edges[-2] + round(length), data))
 
     def accept(self, frame: Frame) -> None:
-        """Record a frame that was decoded here."""
-        state = self._in_c
-        state.rest_since = state.last_cycle = frame.cycle
-        state.last = frame.value << 1 | frame.telemetry
-        state.frames += 1
-        self.on_frame(frame)
+        """Record a frame that was decoded here, and answer it."""
+        data = frame.value << 1 | frame.telemetry
+        lib, handle = self._native.library, self._native.handle
+        lib.native_esc_accept(handle, self.motor - 1, frame.cycle, data)
+        self._native.tell_frames()
 
     def silence(self, forget: bool) -> None:
         """Let the line fall silent, perhaps within a frame; `forget`: the ESC restarts as well."""
-        self._bits = ()
-        self._in_c.rest_since = -TIME_HZ
+        state = self._in_c
+        state.edge_count = state.answer_edge_count = 0
+        state.rest_since = -TIME_HZ
         if forget:
-            self.protocol, self._in_c.last = None, NO_FRAME
+            self.protocol, state.inverted, state.last = None, False, NO_FRAME
 
-    def _open(self, cycle: int, length: int) -> None:
-        gap = (cycle - self._in_c.rest_since) / TIME_HZ
-        if gap < GAP_S:
+    def inspect(self, now: int) -> None:
+        """Fail if a frame has broken off, which the next edge would show."""
+        count = int(self._in_c.edge_count)
+        if count > 1 and now - self._in_c.edges[count - 1] > _BROKEN_OFF:
+            self._break_off(count)
+
+    def _break_off(self, edges: int) -> NoReturn:
+        self._fail(
+            f"motor {self.motor}: a frame breaks off in its bit {(edges + 1) // 2}, expected {FRAME_BITS} "
+            f"bits"
+        )
+
+    def _validate_rest(self, begin: int, length: float, rest: bool) -> None:
+        gap, least = begin - self._in_c.rest_since, GAP_BITS * length
+        if gap < least:
             self._fail(
-                f"motor {self.motor}: {gap * 1e6:.2f} us of rest before a frame, expected {GAP_S * 1e6:g} us "
-                f"or more"
+                f"motor {self.motor}: {_us(gap)} of rest before a frame, expected {GAP_BITS} bits or more "
+                f"({_us(least)})"
             )
-        self._length = length
+        if self.protocol and rest != self.inverted:
+            words = ("low", "normal"), ("high", "bidirectional")
+            self._fail(
+                f"motor {self.motor}: the line rests {words[rest][0]} before a frame, expected "
+                f"{words[not rest][0]}: its ESC has begun with {words[not rest][1]} frames"
+            )
+
+    def _find_protocol(self, length: float) -> int:
         wanted = [self.protocol] if self.protocol else list(PROTOCOLS)
         for name in wanted:
             if abs(length * PROTOCOLS[name] / TIME_HZ - 1.0) <= TOLERANCE:
@@ -147,39 +225,36 @@ class Esc(Kept):
                         f"motor {self.motor}: DShot{name}, expected DShot{self.fitted}, which its ESC is set "
                         f"to; give both the same (setting motor_protocol)"
                     )
-                self.protocol = name
-                return
+                return name
         nominal = " or ".join(f"{1e6 / PROTOCOLS[n]:.3f} us (DShot{n})" for n in wanted)
         self._fail(
             f"motor {self.motor}: a bit lasts {_us(length)}, expected {nominal} within {TOLERANCE:.0%}"
         )
 
-    def _close(self, end: int) -> None:
-        assert self.protocol is not None
-        bits, self._bits = self._bits, ()
-        value, wrong = _decode(bits, self._length)
-        if wrong:
-            self._fail(f"motor {self.motor}: {wrong}")
-        self.accept(Frame(self.motor, end, value >> 1, bool(value & 1), self.protocol))
+    def _decode(self, edges: Sequence[int], length: float, inverted: bool) -> int:
+        """Return value and telemetry bit."""
+        frame = 0
+        for number in range(FRAME_BITS):
+            width = edges[2 * number + 1] - edges[2 * number]
+            bit = width >= ONE[0] * length
+            least, most = ONE if bit else ZERO
+            if not least * length <= width <= most * length:
+                ranges = (f"{_us(low * length)} to {_us(high * length)}" for low, high in (ZERO, ONE))
+                self._fail(
+                    f"motor {self.motor}: bit {number + 1} is {'low' if inverted else 'high'} for "
+                    f"{_us(width)}, expected {' for a 0 or '.join(ranges)} for a 1"
+                )
+            frame = frame << 1 | bit
+        data = frame >> 4
+        checksum = (data ^ data >> 4 ^ data >> 8 ^ (15 if inverted else 0)) & 15
+        if frame & 15 != checksum:
+            kind = "bidirectional frame" if inverted else "frame"
+            self._fail(
+                f"motor {self.motor}: {kind} 0x{frame:04X} has the checksum {frame & 15:X}, "
+                f"expected {checksum:X}"
+            )
+        return data
 
 
-@lru_cache(maxsize=4096)
-def _decode(bits: tuple[int, ...], length: int) -> tuple[int, str]:
-    """Decode value with telemetry bit, and describe an error if there is one."""
-    frame = 0
-    for number, high in enumerate(bits, 1):
-        share = high / length
-        bit = int(share > sum(_HIGH) / 2)
-        if abs(share / _HIGH[bit] - 1.0) > TOLERANCE:
-            expected = f"{_us(round(_HIGH[0] * length))} for a 0 or {_us(round(_HIGH[1] * length))} for a 1"
-            return 0, f"bit {number} is high for {_us(high)}, expected {expected} within {TOLERANCE:.0%}"
-        frame = frame << 1 | bit
-    data = frame >> 4
-    checksum = (data ^ data >> 4 ^ data >> 8) & 15
-    if frame & 15 != checksum:
-        return 0, f"frame 0x{frame:04X} has the checksum {frame & 15:X}, expected {checksum:X}"
-    return data, ""
-
-
-def _us(cycles: int) -> str:
+def _us(cycles: float) -> str:
     return f"{cycles * 1e6 / TIME_HZ:.3f} us"

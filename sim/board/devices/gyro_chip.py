@@ -1,121 +1,95 @@
-"""The gyro chip behind SPI1: an ICM20602 or one of its kin, as a register file with its times and limits.
+"""The gyro chip on its SPI, as a register file with its times and limits.
 
 The loop says what the sensors measure; at each sample time the chip latches that into its data registers and
 pulses its data-ready line, in C (native/c/gyro_chip.c). Registers that the chip has but the model does not
 know are errors, so that a configuration is never taken for done; so are samples of a chip that is not set up
-as its data sheet asks. Sources: MPU-6500 product specification (PS-MPU-6500A-01) and register map
-(RM-MPU-6500A-00), ICM-20689 data sheet (DS-000143); of ICM-20602 (DS-000176), ICM-20608-G and MPU-9250 what
-PX4's register headers tell of their data sheets, of the ICM-20601 (DS-000191) I2Cdev's. Thermometer and speed
-of the ICM-20601 are those of its kin.
+as its data sheet asks. The kinds of chips, and what their registers mean, are in gyro_mpu.py, gyro_icm.py,
+gyro_lsm.py and gyro_bmi.py.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 from neuroflight.sim.board.core.context import TIME_HZ, Kept
 from neuroflight.sim.board.core.engine import NEVER
 from neuroflight.sim.board.devices.gyro_mount import Counts
 from neuroflight.sim.board.native.library import Native, in_c
-from neuroflight.sim.board.peripherals.gpio import Pins
+from neuroflight.sim.board.peripherals.gpio import Pins, place
+from neuroflight.toolchain.boards.facts import GyroPlace
+from neuroflight.toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
-CS, READY = "PC2", "PC3"  # pins.c and gyro_chip.c know them too
-
-SMPLRT_DIV, CONFIG, GYRO_CONFIG, ACCEL_CONFIG, ACCEL_CONFIG2 = 0x19, 0x1A, 0x1B, 0x1C, 0x1D
-INT_PIN_CFG, INT_ENABLE, INT_STATUS, DATA = 0x37, 0x38, 0x3A, 0x3B
-SIGNAL_PATH_RESET, USER_CTRL, PWR_MGMT_1, PWR_MGMT_2, I2C_IF, WHO_AM_I = 0x68, 0x6A, 0x6B, 0x6C, 0x70, 0x75
-DATA_BYTES = 14  # accelerometer, temperature, gyro: 16 bits each, the upper byte first
+DATA_BYTES = 14  # accelerometer, temperature and gyro in some order, 16 bits each
 
 _VALUES = struct.Struct("=7h")  # `measured` of struct gyro
 _READ = 0x80
-_DEVICE_RESET, _SLEEP = 0x80, 0x40  # PWR_MGMT_1
+MICROSECOND = TIME_HZ // 1_000_000
 _MILLISECOND = TIME_HZ // 1000
-PULSE = TIME_HZ // 20_000  # data-ready line: 50 us
-_CLOCK, _GOOD_CLOCK = 0x07, 0x01  # PWR_MGMT_1 CLKSEL: the gyro performs as it should with this one only
-_FAST = 0x03  # GYRO_CONFIG FCHOICE_B: past the low-pass, at 32 kHz
-REGISTER_HZ = 1_000_000  # SCK at most, all registers of the older chips
 
-Bits = tuple[tuple[int, int], ...]  # registers, and bits or values of each
-
-# Registers that the image may write, and the bits of each that the model knows. Of an MPU6500:
-_WRITABLE: Bits = (
-    *((SMPLRT_DIV, 0xFF), (CONFIG, 0x07), (GYRO_CONFIG, 0x18), (ACCEL_CONFIG, 0x18), (ACCEL_CONFIG2, 0x0F)),
-    *((INT_PIN_CFG, 0x10), (INT_ENABLE, 0x01), (USER_CTRL, 0x11), (PWR_MGMT_1, 0xC7), (PWR_MGMT_2, 0x3F)),
-)
-_READ_ONLY = {INT_STATUS, WHO_AM_I, *range(DATA, DATA + DATA_BYTES)}
+Registers = dict[int, int]  # values, by GyroKind.place
 
 
 @dataclass(frozen=True)
+class Setup:
+    """The effect of the registers on the samples."""
+
+    period: int | None  # of samples and data-ready pulses [cycles]; None: there are none
+    gyro_shift: int = 0  # by how much +-2000 deg/s are more than the range that is set, as a power of two
+    accel_shift: int = 0  # and +-16 g
+
+
+@dataclass(frozen=True, kw_only=True)
 class GyroKind:
-    """The differences between the chips."""
+    """The differences between the chips; a subclass for each family says what registers mean."""
 
     name: str
     who_am_i: int
+    told_at: int  # its register
+    data: int  # the first data register
+    order: tuple[int, ...]  # of the data: 0 to 2 accelerometer, 3 temperature, 4 to 6 gyro
     data_hz: int  # SCK at most while data and interrupt registers are read
-    reset: Bits  # registers that are not 0 after reset
-    signal_paths: int  # SIGNAL_PATH_RESET: those that there are
+    register_hz: int  # SCK at most else
     counts_per_degree: float  # of the thermometer
     zero_deg_c: float  # where it counts 0
-    start_ms: int  # from power to answers, at most (specification: 11 typical)
-    reset_ms: int = 100  # from DEVICE_RESET to answers (register map, PWR_MGMT_1)
-    register_hz: int = REGISTER_HZ
-    writable: Bits = _WRITABLE
-    spi_only: tuple[int, int] = (USER_CTRL, 0x10)  # register and bit that switch I2C off
-    full_scale: int = 3  # FS_SEL and ACCEL_FS_SEL of +-2000 deg/s and +-16 g, the counts that the loop sets
-
-    @property
-    def known(self) -> dict[int, int]:
-        """Registers that may be written, and the bits of each that the model knows, as last stated."""
-        return {**dict(self.writable), SIGNAL_PATH_RESET: self.signal_paths}
+    start_ms: int  # from power to answers, at most
+    pulse: int  # data-ready line, high [cycles]
+    little: bool = False  # a value's lower byte comes first
+    gyro_scale: tuple[int, int] = (GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S)  # counts at a rate [deg/s]
+    ready_bit: int = 0x01  # of the register `status_at`
+    dummies: int = 0  # bytes of a read before the first that tells something
 
     def temperature(self, deg_c: float) -> int:
         return round((deg_c - self.zero_deg_c) * self.counts_per_degree)
 
+    def after_reset(self) -> Registers:
+        """Return the registers that the model keeps, as a reset leaves them."""
+        raise NotImplementedError
 
-MPU6500 = GyroKind(
-    name="MPU6500",
-    who_am_i=0x70,
-    data_hz=20_000_000,
-    reset=((PWR_MGMT_1, 0x01),),
-    signal_paths=0x07,
-    counts_per_degree=333.87,
-    zero_deg_c=21.0,
-    start_ms=100,
-)
-ICM20689 = GyroKind(
-    name="ICM20689",
-    who_am_i=0x98,
-    data_hz=8_000_000,
-    reset=((PWR_MGMT_1, 0x41),),  # asleep
-    signal_paths=0x03,  # the gyro's is reserved
-    counts_per_degree=326.8,
-    zero_deg_c=25.0,
-    start_ms=100,
-)
-# By its data sheet it answers 2 ms after power-up; the model asks for as long a wait as its kin.
-ICM20602 = GyroKind(
-    name="ICM20602",
-    who_am_i=0x12,
-    data_hz=10_000_000,
-    register_hz=10_000_000,
-    reset=((PWR_MGMT_1, 0x41), (CONFIG, 0x80)),
-    writable=(
-        *_WRITABLE,
-        (GYRO_CONFIG, 0x1B),
-        (USER_CTRL, 0x01),
-        (I2C_IF, 0x40),
-    ),
-    spi_only=(I2C_IF, 0x40),
-    signal_paths=0x03,
-    counts_per_degree=326.8,
-    zero_deg_c=25.0,
-    start_ms=100,
-)
-ICM20608G = replace(ICM20689, name="ICM20608G", who_am_i=0xAF)
-ICM20601 = replace(ICM20689, name="ICM20601", who_am_i=0xAC, full_scale=2)  # +-500 to 4000 deg/s, +-4 to 32 g
-MPU9250 = replace(MPU6500, name="MPU9250", who_am_i=0x71)
+    def known(self, register: int) -> int | None:
+        """Return the bits of a register that the image may write; None: none of it."""
+        raise NotImplementedError
+
+    def told(self, register: int) -> int | None:
+        """Return what a register says that cannot be written; None: no such one is modelled."""
+        return self.who_am_i if register == self.told_at else None
+
+    def status_at(self) -> int | None:
+        """Return the register that tells of the data-ready interrupt, cleared when read; None: none."""
+        return None
+
+    def place(self, registers: Mapping[int, int], address: int) -> int:
+        """Return the register at an address of the bus: bank << 8 | address."""
+        return address
+
+    def write(self, chip: GyroChip, register: int, value: int) -> None:
+        """Take over a value that `known` allows."""
+        chip.registers[register] = value
+
+    def setup(self, chip: GyroChip) -> Setup:
+        """Return what the registers mean for samples; fails where the data sheet forbids to sample so."""
+        raise NotImplementedError
 
 
 class GyroChip(Kept):
@@ -124,16 +98,21 @@ class GyroChip(Kept):
     C takes the samples and answers plain reads of data; this class answers for all other registers.
     """
 
-    kept = ("_registers", "_ready_why", "_powered_at")
+    kept = ("registers", "_ready_why", "_powered_at", "_dummies", "quiet_until")
 
-    def __init__(self, native: Native, pins: Pins, kind: GyroKind = ICM20602) -> None:
+    def __init__(self, native: Native, pins: Pins, where: GyroPlace, kind: GyroKind) -> None:
         self.engine, self.kind = native.engine, kind
-        self._native, self._pins = native, pins
+        self._native, self._pins, self._where = native, pins, where
+        lib = native.library
+        lib.native_chip(native.handle, lib.CHIP_GYRO, where.spi - 1, *place(where.select))
+        if where.ready is not None:
+            lib.native_gyro_ready(native.handle, *place(where.ready))
         self.phase = 0  # by how much later its samples begin: its clock is its own [cycles]
         self._sample_alarm = self.engine.alarm("gyro.sample", in_c)
         self._fall_alarm = self.engine.alarm("gyro.fall", in_c)
         alarms = (self._sample_alarm.number, self._fall_alarm.number)
-        self._in_c = native.library.native_gyro(native.handle, *alarms, PULSE, float(kind.data_hz))
+        self._in_c = native.library.native_gyro(native.handle, *alarms, kind.pulse, float(kind.data_hz))
+        self._in_c.data_at, self._in_c.order, self._in_c.little = kind.data, list(kind.order), kind.little
         native.on_exchange = self._exchange
         self._measured = memoryview(native.ffi.buffer(self._in_c.measured))
         self._no_address = native.library.NO_ADDRESS
@@ -143,13 +122,17 @@ class GyroChip(Kept):
 
     def rest(self) -> None:
         """Set the lines to rest: select by the board's pull-up, nothing ready."""
-        self._pins.drive(CS, True)
-        self._pins.drive(READY, False)
+        self._pins.drive(str(self._where.select), True)
+        self._lower_ready()
+
+    def _lower_ready(self) -> None:
+        if self._where.ready is not None:
+            self._pins.drive(str(self._where.ready), False)
 
     def processor_reset(self) -> None:
         """Restore the alarms after a reset of the processor, during which the chip continues."""
         self._fall_alarm.cancel()
-        self._pins.drive(READY, False)
+        self._lower_ready()
         if self.next_sample is not None:
             self._sample_alarm.set(self.next_sample)
 
@@ -159,7 +142,7 @@ class GyroChip(Kept):
         self._sample_alarm.cancel()
         self._fall_alarm.cancel()
         self._start()
-        self._pins.drive(READY, False)
+        self._lower_ready()
 
     def _start(self) -> None:
         state = self._in_c
@@ -168,18 +151,24 @@ class GyroChip(Kept):
         state.ready_at = self._powered_at + self.kind.start_ms * _MILLISECOND
         self._ready_why = "power-up"
         state.address, state.reads = self._no_address, False
+        self._dummies = 0  # that are left of a read
         state.shadow = bytes(DATA_BYTES)
         self._clear()
 
     def _clear(self) -> None:
-        self._registers = {**dict.fromkeys(self.kind.known, 0), **dict(self.kind.reset)}
-        self._in_c.data = bytes(DATA_BYTES)
+        self.registers = self.kind.after_reset()
+        self.quiet_until = 0  # no write before this cycle
         self._in_c.interrupt = False
+        self._hide()
+        self.clear_data()
 
     # For the loop
 
     def measure(self, accel: Counts, temperature: int, gyro: Counts) -> None:
-        """Set the sensors' values from now on: int16 counts on the chip's axes, +-16 g and +-2000 deg/s."""
+        """Set the sensors' values from now on: int16 counts on the chip's axes.
+
+        +-16 g, and of the gyro so many at so many deg/s as `gyro_scale` of its kind says.
+        """
         _VALUES.pack_into(self._measured, 0, *accel, temperature, *gyro)
 
     @property
@@ -211,13 +200,20 @@ class GyroChip(Kept):
         due = int(self._in_c.due)
         return None if due == NEVER else due
 
-    def _configured_period(self) -> int:
-        if self._registers[GYRO_CONFIG] & _FAST:
-            return TIME_HZ // 32_000
-        filtered = self._registers[CONFIG] & 7
-        if filtered in (0, 7):
-            return TIME_HZ // 8000  # whatever the divider says
-        return TIME_HZ // 1000 * (1 + self._registers[SMPLRT_DIV])
+    # For its kind
+
+    def fail(self, what: str) -> None:
+        """Fail for what the image does wrong."""
+        self.engine.fail(what)
+
+    def clear_data(self) -> None:
+        self._in_c.data = bytes(DATA_BYTES)
+
+    def reset(self, ms: float) -> None:
+        """Reset it, which takes so long; then it must not be addressed."""
+        self._clear()
+        self._in_c.ready_at = self.engine.cycle + round(ms * _MILLISECOND)
+        self._ready_why = "its reset"
 
     # On the bus
 
@@ -238,10 +234,14 @@ class GyroChip(Kept):
         if address == self._no_address:
             state.address, state.reads = value & ~_READ, bool(value & _READ)
             state.shadow = bytes(state.data)
+            self._dummies = self.kind.dummies if state.reads else 0
             self._validate_time()
             self._validate_clock(hz)
             return 0
         self._validate_clock(hz)
+        if self._dummies:
+            self._dummies -= 1
+            return 0
         state.address = address + 1 & 0x7F
         if state.reads:
             return self._read(address)
@@ -251,13 +251,14 @@ class GyroChip(Kept):
     def _validate_end(self) -> None:
         """Check at the end of a transaction that it has read whole values."""
         address = int(self._in_c.address)
-        if not self._in_c.reads or address == self._no_address:
+        if not self._in_c.reads or address == self._no_address or self._in_c.hidden:
             return
-        count = address - DATA
+        count = address - self.kind.data
         if count & 1 and 0 < count < DATA_BYTES:
             self.engine.fail(
-                f"the data of the {self.kind.name} was read up to 0x{address - 1:02X}, the upper half "
-                f"of a value; expected both its bytes in one transaction"
+                f"the data of the {self.kind.name} was read up to 0x{address - 1:02X}, the "
+                f"{'lower' if self.kind.little else 'upper'} half of a value; expected both its bytes in one "
+                f"transaction"
             )
 
     def _validate_time(self) -> None:
@@ -270,75 +271,66 @@ class GyroChip(Kept):
             )
 
     def _validate_clock(self, hz: float) -> None:
-        address = int(self._in_c.address)
-        fast = self._in_c.reads and INT_STATUS <= address < DATA + DATA_BYTES
-        limit = self.kind.data_hz if fast else self.kind.register_hz
+        address, kind = int(self._in_c.address), self.kind
+        place = address - kind.data
+        fast = self._in_c.reads and (0 <= place < DATA_BYTES or address == kind.status_at())
+        limit = kind.data_hz if fast else kind.register_hz
         if hz > limit:
             what = "data" if fast else f"register 0x{address:02X}"
             self.engine.fail(
-                f"SPI1 reads or writes {what} of the {self.kind.name} at {hz / 1e6:g} MHz, expected "
-                f"{limit / 1e6:g} MHz at most"
+                f"SPI{self._where.spi} reads or writes {what} of the {kind.name} at {hz / 1e6:g} MHz, "
+                f"expected {limit / 1e6:g} MHz at most"
             )
 
-    def _validate_set_up(self) -> None:
-        """Check the set-up before samples begin."""
-        clock = self._registers[PWR_MGMT_1] & _CLOCK
-        if clock != _GOOD_CLOCK:
-            self.engine.fail(
-                f"the {self.kind.name} samples with CLKSEL {clock}, expected {_GOOD_CLOCK}: its gyro needs it"
-            )
-        register, bit = self.kind.spi_only
-        if not self._registers[register] & bit:
-            self.engine.fail(
-                f"the {self.kind.name} samples while it may take its bus for I2C, expected register "
-                f"0x{register:02X} with bit 0x{bit:02X}"
-            )
+    def _named(self, register: int) -> str:
+        bank = f" of bank {register >> 8}" if register >> 8 else ""
+        return f"register 0x{register & 0xFF:02X}{bank} of the {self.kind.name}"
 
     def _read(self, address: int) -> int:
-        if DATA <= address < DATA + DATA_BYTES:
-            return int(self._in_c.shadow[address - DATA])
-        if address == WHO_AM_I:
-            return self.kind.who_am_i
-        if address == INT_STATUS:
-            status, self._in_c.interrupt = int(self._in_c.interrupt), False
+        kind = self.kind
+        register = kind.place(self.registers, address)
+        if kind.data <= register < kind.data + DATA_BYTES:
+            return int(self._in_c.shadow[register - kind.data])
+        if register == kind.status_at():
+            status, self._in_c.interrupt = int(self._in_c.interrupt) * kind.ready_bit, False
             return status
-        if address not in self._registers and address not in _READ_ONLY:
-            self.engine.fail(
-                f"register 0x{address:02X} of the {self.kind.name} is read, which is not modelled"
-            )
-        return self._registers[address]
+        told = kind.told(register)
+        if told is not None:
+            return told
+        if register not in self.registers:
+            self.engine.fail(f"{self._named(register)} is read, which is not modelled")
+        return self.registers[register]
 
     def _write(self, address: int, value: int) -> None:
-        known = self.kind.known.get(address)
+        register = self.kind.place(self.registers, address)
+        known = self.kind.known(register)
         if known is None or value & ~known:
             self.engine.fail(
-                f"register 0x{address:02X} of the {self.kind.name} = 0x{value:02X}: the model knows "
+                f"{self._named(register)} = 0x{value:02X}: the model knows "
                 f"{'none of it' if known is None else f'bits 0x{known:02X}'}"
             )
-        if address == PWR_MGMT_1 and value & _DEVICE_RESET:
-            self._clear()
-            self._in_c.ready_at = self.engine.cycle + self.kind.reset_ms * _MILLISECOND
-            self._ready_why = "its reset"
-        elif address == SIGNAL_PATH_RESET:
-            self._in_c.data = bytes(DATA_BYTES)  # the bits clear themselves
-        elif address == USER_CTRL:
-            self._registers[address] = value & ~0x01  # SIG_COND_RST clears itself
-        else:
-            self._registers[address] = value
+        if self.engine.cycle < self.quiet_until:
+            left = (self.quiet_until - self.engine.cycle) / MICROSECOND
+            self.engine.fail(f"{self._named(register)} is written {left:.0f} us too early, expected a wait")
+        self.kind.write(self, register, value)
         self._plan()
+
+    def _hide(self) -> None:
+        """Tell C whether it can answer reads of the data."""
+        kind = self.kind
+        self._in_c.hidden = kind.dummies > 0 or kind.place(self.registers, kind.data) != kind.data
 
     def _plan(self) -> None:
         """Take over changed registers."""
         state = self._in_c
-        state.gyro_shift = self.kind.full_scale - (self._registers[GYRO_CONFIG] >> 3 & 3)
-        state.accel_shift = self.kind.full_scale - (self._registers[ACCEL_CONFIG] >> 3 & 3)
-        awake = not self._registers[PWR_MGMT_1] & _SLEEP and not self._registers[PWR_MGMT_2] & 0x07
-        if not awake or not self._registers[INT_ENABLE] & 1:
+        self._hide()
+        setup = self.kind.setup(self)
+        state.gyro_shift, state.accel_shift = setup.gyro_shift, setup.accel_shift
+        if setup.period is None:
             state.due = NEVER
             self._sample_alarm.cancel()
             return
-        self._validate_set_up()
-        state.period = self._configured_period()
+        state.period = setup.period
         if state.due == NEVER:
             state.due = self.engine.cycle + state.period + self.phase
             self._sample_alarm.set(state.due)

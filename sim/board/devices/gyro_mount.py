@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from enum import IntEnum
 
 from neuroflight.toolchain.contract import (
     ACCEL_COUNTS,
@@ -12,37 +11,38 @@ from neuroflight.toolchain.contract import (
     GRAVITY,
     GYRO_COUNTS,
     GYRO_FULL_SCALE_DEG_S,
+    Alignment,
 )
 
 _DEGREES = 180.0 / math.pi
 
 
-class Alignment(IntEnum):
-    """Mounting angles of the chip on the board, clockwise seen from above."""
-
-    CW0 = 0
-    CW90 = 1
-    CW180 = 2
-    CW270 = 3
-
-
 # By alignment: chip axis i is `_SIGNS[][i]` times body axis (x forward, y left, z up) number `_AXES[][i]`.
-_AXES = ((0, 1, 2), (1, 0, 2), (0, 1, 2), (1, 0, 2))
-_SIGNS = ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0), (1.0, -1.0, 1.0))
+_AXES = 2 * ((0, 1, 2), (1, 0, 2), (0, 1, 2), (1, 0, 2))
+_SIGNS = (
+    *((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0), (1.0, -1.0, 1.0)),
+    *((-1.0, 1.0, -1.0), (1.0, 1.0, -1.0), (1.0, -1.0, -1.0), (-1.0, -1.0, -1.0)),
+)
 _PER_FORCE = ACCEL_COUNTS / ACCEL_FULL_SCALE_G / GRAVITY  # counts in 1 m/s^2
 
 Counts = tuple[int, int, int]
 
 
-def gyro_counts(rates: Sequence[float], alignment: Alignment) -> Counts:
-    """Compute the chip's counts at +-2000 deg/s of body rates (3,) [rad/s]: half to even, clamped to int16.
+def gyro_counts(
+    rates: Sequence[float],
+    alignment: Alignment,
+    scale: tuple[int, int] = (GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S),
+) -> Counts:
+    """Compute the chip's counts of body rates (3,) [rad/s]: half to even, clamped to int16.
 
-    The arithmetic and its order are the host build's, so that both see the same counts.
+    scale: counts at a rate [deg/s]. The arithmetic and its order are the host build's, so that both see the
+    same counts.
     """
     x, y, z = rates
-    x = x * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S
-    y = y * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S
-    z = z * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S
+    counts, deg_s = scale
+    x = x * _DEGREES * counts / deg_s
+    y = y * _DEGREES * counts / deg_s
+    z = z * _DEGREES * counts / deg_s
     return _mounted((x, y, z), alignment, 1.0)
 
 

@@ -51,6 +51,7 @@ class Native(Kept):
         self.on_card: Callable[[bytes, int, int, float, int], bytes] = lambda sent, *_: b"\xff" * len(sent)
         self.on_errors: Callable[[bytes], bytes] = lambda received: received
         self.on_frame: Callable[[int, int, int], None] = lambda motor, cycle, data: None
+        self.on_train: Callable[[int, list[int], bool], None] = lambda motor, edges, rest: None
         self.on_sample: Callable[[int], None] = lambda number: None
         functions: dict[str, Callable[..., object]] = {
             "reject": self._reject,
@@ -59,7 +60,7 @@ class Native(Kept):
             "exchange": self._exchange,
             "card": self._card,
             "errors": self._errors,
-            "pulses": self._pulses,
+            "train": self._train,
             "frames": self._frames,
             "pin": lambda device, pin, level: self.devices[device].on_pin(pin, level),
             "sample": lambda number: self.on_sample(number),
@@ -125,17 +126,9 @@ class Native(Kept):
     def _errors(self, data: Any, count: int) -> None:  # noqa: ANN401
         self.ffi.memmove(data, self.on_errors(bytes(data[0:count])), count)
 
-    def _pulses(
-        self,
-        device: int,
-        channel: int,
-        start: int,
-        length: int,
-        count: int,
-        highs: Any,  # noqa: ANN401
-    ) -> None:
+    def _train(self, motor: int, count: int, edges: Any, rest: bool) -> None:  # noqa: ANN401
         self.tell_frames()  # which came before
-        self.devices[device].on_pulses(channel, start, length, list(highs[0:count]))
+        self.on_train(motor, list(edges[0:count]), rest)
 
     def _frames(self, frames: Any, count: int) -> None:  # noqa: ANN401
         for i in range(count):
@@ -211,9 +204,6 @@ class NativeDevice(Device):
         if isinstance(answer, str):
             self.engine.fail(answer.format(name=self.name, a=a, b=b))
         answer(a, b)
-
-    def on_pulses(self, channel: int, start: int, length: int, highs: list[int]) -> None:
-        """Handle pulses of a timer's channel that are no plain frame."""
 
     def on_pin(self, pin: int, level: bool) -> None:
         """Handle a new level on a watched pin of a port."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.core.engine import Engine
 from neuroflight.sim.board.peripherals.dma import DmaSystem
-from neuroflight.sim.board.peripherals.gpio import SIGNALS, Pins
+from neuroflight.sim.board.peripherals.gpio import Pins
 from neuroflight.sim.board.peripherals.rcc import MICROSECOND, Clocks
+from neuroflight.sim.board.peripherals.signals import CONVERTED
 from neuroflight.sim.board.registers.bus import Device, load_table
+from neuroflight.toolchain.boards.facts import Board
 
-VOLTS, AMPS, RSSI = 10, 14, 8  # channels of the board's pins PC0, PC4, PB0
-VOLTS_DIVIDER = 11.0  # battery voltage over the pin's
-VOLTS_PER_AMPERE = 0.0179  # of the current sensor
 REFERENCE_V = 3.3
 CLOCK_MAX_HZ = 36_000_000  # data sheet, ADC characteristics
 STABILIZATION = 3 * MICROSECOND  # from ADON to the first conversion
@@ -38,9 +37,9 @@ class Adc(Device):
 
     kept = ("words", "_pins_v", "_on_at", "_running", "_next", "_at", "_apb2", "_stalled", "_same")
 
-    def __init__(self, engine: Engine, common: AdcCommon, dma: DmaSystem, pins: Pins) -> None:
+    def __init__(self, engine: Engine, common: AdcCommon, dma: DmaSystem, pins: Pins, board: Board) -> None:
         super().__init__(engine, "ADC1")
-        self._common, self._pins = common, pins
+        self._common, self._pins, self._board = common, pins, board
         self._irq = load_table().interrupt("ADC")
         self._alarm = engine.alarm("adc1.end", self.sync)
         self._pins_v: dict[int, float] = {}  # by channel
@@ -74,8 +73,11 @@ class Adc(Device):
 
     def set_battery(self, volts: float, amps: float) -> None:
         """Set the battery from now on, as measured by conversions that end later."""
-        self.set_pin(VOLTS, volts / VOLTS_DIVIDER)
-        self.set_pin(AMPS, amps * VOLTS_PER_AMPERE)
+        board = self._board
+        if board.volts is not None:
+            self.set_pin(CONVERTED[str(board.volts)], volts / (board.volts_scale / 10))
+        if board.amps is not None:
+            self.set_pin(CONVERTED[str(board.amps)], amps * board.amps_scale / 10_000)
 
     def set_pin(self, channel: int, volts: float) -> None:
         if self._pins_v.get(channel) != volts:
@@ -135,8 +137,6 @@ class Adc(Device):
         if self._running:
             fail("ADC1 is started while a conversion is under way")
         for channel in set(self._sequence()):
-            if f"ADC1_IN{channel}" not in SIGNALS:
-                fail(f"ADC1 converts channel {channel}, which has no pin on this board")
             self._pins.expect(f"ADC1_IN{channel}", f"ADC1 converts channel {channel}")
         if not self.get("CR1", "SCAN") and self.get("SQR1", "L"):
             fail(f"ADC1 has a sequence of {self.get('SQR1', 'L') + 1} with CR1 SCAN 0, expected SCAN 1")

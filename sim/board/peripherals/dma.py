@@ -21,6 +21,7 @@ _FLAGS = ("FEIF", "DMEIF", "TEIF", "HTIF", "TCIF")
 _SHIFTS = (0, 6, 16, 22)  # of the flags of streams 0 to 3 in LISR, 4 to 7 in HISR (RM0431 8.5.1)
 _ALL_FLAGS = 0x3D
 _APB1_END = 0x40008000  # DMA1's peripheral port reaches APB1 only (RM0431 2.1, bus matrix)
+_OF_PORTS = (("IDR", "ODR"), ("BSRR", "ODR"))  # registers that may be read, and written
 _WORDS = ("CR", "NDTR", "PAR", "M0AR", "M1AR", "FCR")  # of each stream, the first at word 4
 
 
@@ -122,6 +123,10 @@ class Dma(NativeDevice):
                 f"{who}: channel {channel} is driven by {is_}, but its peripheral address is {place}; "
                 f"expected {' or '.join(right) or 'another stream'}"
             )
+        if block.name.startswith("GPIO") and register.name not in _OF_PORTS[to_peripheral]:
+            way = "from memory" if to_peripheral else "to memory"
+            expected = " or ".join(_OF_PORTS[to_peripheral])
+            fail(f"{who} moves {way}, but its peripheral is {place}, expected {expected}")
         for name in wanted:
             if (name.endswith("_RX") or name == "ADC1") and to_peripheral:
                 fail(f"{who}: {name} moves from the peripheral, but DIR is {to_peripheral}")
@@ -222,7 +227,7 @@ class DmaSystem:
         self.names: dict[int, str] = {}  # of requests
         self.requests: dict[str, Request] = {}
         self._native, self._library = native, native.library
-        for name in ("SPI1_RX", "SPI1_TX", "SPI3_RX", "SPI3_TX"):
+        for name in (f"SPI{i}_{way}" for i in (1, 2, 3) for way in ("RX", "TX")):
             self.request(name, getattr(self._library, name))
 
     def request(self, name: str, number: int) -> Request:

@@ -6,6 +6,7 @@ from __future__ import annotations
 # request mapping; where several share a place, all are named). Only peripherals that the emulator models.
 REQUESTS: dict[tuple[int, int, int], tuple[str, ...]] = {
     (1, 0, 0): ("SPI3_RX",), (1, 2, 0): ("SPI3_RX",), (1, 5, 0): ("SPI3_TX",), (1, 7, 0): ("SPI3_TX",),
+    (1, 3, 0): ("SPI2_RX",), (1, 4, 0): ("SPI2_TX",),
     (1, 0, 2): ("TIM4_CH1",), (1, 3, 2): ("TIM4_CH2",), (1, 6, 2): ("TIM4_UP",), (1, 7, 2): ("TIM4_CH3",),
     (1, 1, 3): ("TIM2_UP", "TIM2_CH3"), (1, 5, 3): ("TIM2_CH1",), (1, 6, 3): ("TIM2_CH2", "TIM2_CH4"),
     (1, 7, 3): ("TIM2_UP", "TIM2_CH4"),
@@ -20,7 +21,9 @@ REQUESTS: dict[tuple[int, int, int], tuple[str, ...]] = {
     (2, 6, 0): ("TIM1_CH1", "TIM1_CH2", "TIM1_CH3"),
     (2, 0, 3): ("SPI1_RX",), (2, 2, 3): ("SPI1_RX",), (2, 3, 3): ("SPI1_TX",), (2, 5, 3): ("SPI1_TX",),
     (2, 2, 4): ("USART1_RX",), (2, 5, 4): ("USART1_RX",), (2, 7, 4): ("USART1_TX",),
-    (2, 1, 6): ("TIM1_CH1",), (2, 2, 6): ("TIM1_CH2",), (2, 3, 6): ("TIM1_CH1",), (2, 4, 6): ("TIM1_CH4",),
+    (2, 1, 5): ("USART6_RX",), (2, 2, 5): ("USART6_RX",), (2, 6, 5): ("USART6_TX",),
+    (2, 7, 5): ("USART6_TX",), (2, 1, 6): ("TIM1_CH1",), (2, 2, 6): ("TIM1_CH2",),
+    (2, 3, 6): ("TIM1_CH1",), (2, 4, 6): ("TIM1_CH4",),
     (2, 5, 6): ("TIM1_UP",), (2, 6, 6): ("TIM1_CH3",),
     (2, 1, 7): ("TIM8_UP",), (2, 2, 7): ("TIM8_CH1",), (2, 3, 7): ("TIM8_CH2",), (2, 4, 7): ("TIM8_CH3",),
     (2, 7, 7): ("TIM8_CH4",),

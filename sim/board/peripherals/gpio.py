@@ -1,4 +1,4 @@
-"""GPIO: ports A to D, and which peripheral a pin may serve; levels are C's (native/c/pins.c).
+"""GPIO: ports A to E, and which peripheral a pin may serve; levels are C's (native/c/pins.c).
 
 A peripheral asks `Pins.expect` when it uses a pin: a pin in another mode is the image's mistake, found where
 it matters rather than where it was made.
@@ -8,44 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.native.library import Native, NativeDevice
+from neuroflight.sim.board.peripherals.signals import ANALOG, Signals
+from neuroflight.toolchain.boards.facts import Pin
 
-PORTS = "ABCD"
+PORTS = "ABCDE"
 _MODES = ("an input", "an output", "alternate function", "analog")
 _ALTERNATE, _ANALOG = 2, 3
-ANALOG = -1  # in place of an alternate function
-
-# Which pin carries a signal on this board, and its alternate function (data sheet DS11853, alternate function
-# mapping; pin definitions for the converter's channels).
-SIGNALS: dict[str, tuple[str, int, int]] = {
-    "SPI1_SCK": ("A", 5, 5),
-    "SPI1_MISO": ("A", 6, 5),
-    "SPI1_MOSI": ("A", 7, 5),
-    "SPI3_SCK": ("B", 3, 6),
-    "SPI3_MISO": ("B", 4, 6),
-    "SPI3_MOSI": ("B", 5, 6),
-    **{f"TIM8_CH{i}": ("C", 5 + i, 3) for i in range(1, 5)},
-    "TIM3_CH4": ("B", 1, 2),
-    "TIM1_CH1": ("A", 8, 1),
-    "TIM4_CH3": ("B", 8, 2),
-    "TIM5_CH3": ("A", 2, 2),
-    "TIM2_CH1": ("A", 15, 1),
-    "USART1_TX": ("A", 9, 7),
-    "USART1_RX": ("A", 10, 7),
-    "USART2_TX": ("A", 2, 7),
-    "USART2_RX": ("A", 3, 7),
-    "USART3_TX": ("C", 10, 7),
-    "USART3_RX": ("C", 11, 7),
-    "UART4_TX": ("A", 0, 8),
-    "UART4_RX": ("A", 1, 8),
-    "UART5_TX": ("C", 12, 8),
-    "UART5_RX": ("D", 2, 8),
-    "OTG_FS_DM": ("A", 11, 10),
-    "OTG_FS_DP": ("A", 12, 10),
-    "ADC1_IN8": ("B", 0, ANALOG),
-    "ADC1_IN10": ("C", 0, ANALOG),
-    "ADC1_IN14": ("C", 4, ANALOG),
-}
 
 
 class Port(NativeDevice):
@@ -55,6 +25,7 @@ class Port(NativeDevice):
         super().__init__(native, f"GPIO{letter}", native.library.PORT, PORTS.index(letter))
         self.letter = letter
         self.listeners: dict[int, Callable[[bool], None]] = {}
+        self.queries = {native.library.QUERY_DRIVEN: self._reject_driven}
 
     def mode(self, pin: int) -> int:
         return self.words["MODER"] >> 2 * pin & 3
@@ -66,12 +37,19 @@ class Port(NativeDevice):
     def on_pin(self, pin: int, level: bool) -> None:
         self.listeners[pin](level)
 
+    def _reject_driven(self, pin: int, since: int) -> None:
+        self.engine.fail(
+            f"P{self.letter}{pin} is an output while its ESC answers, {since * 1e6 / TIME_HZ:.1f} us after "
+            f"the end of the frame: both drive the line, expected an input from the frame to the answer's end"
+        )
+
 
 class Pins:
-    """All ports, by pin name such as "PC2"."""
+    """All ports, by pin name such as "PC2", and where the board leads the peripherals' signals to."""
 
-    def __init__(self, native: Native) -> None:
+    def __init__(self, native: Native, signals: Signals) -> None:
         self.ports = {letter: Port(native, letter) for letter in PORTS}
+        self.signals = signals
         self._native = native
 
     def drive(self, name: str, level: bool) -> None:
@@ -84,18 +62,26 @@ class Pins:
         self._native.library.native_watch(self._native.handle, port, pin)
 
     def expect(self, signal: str, user: str) -> None:
-        """Fail unless the pin of `signal` (a name of SIGNALS) is set up for its use by `user`."""
-        letter, pin, wanted = SIGNALS[signal]
-        port = self.ports[letter]
-        mode, function = port.mode(pin), port.function(pin)
+        """Fail unless the board leads `signal`, "SPI1_SCK", to a pin, which is set up for it. user: of it."""
+        if signal not in self.signals:
+            engine = self.ports["A"].engine
+            engine.fail(f"{user}, but the board leads {signal} to no pin")
+        pin, wanted = self.signals[signal]
+        port = self.ports[pin.port]
+        mode, function = port.mode(pin.number), port.function(pin.number)
         if wanted == ANALOG:
             right, expected = mode == _ANALOG, "analog"
         else:
             right, expected = (mode, function) == (_ALTERNATE, wanted), f"alternate function {wanted}"
         if not right:
             is_ = f"{_MODES[mode]} {function}" if mode == _ALTERNATE else _MODES[mode]
-            port.engine.fail(f"{user}: P{letter}{pin} is {is_}, expected {expected} ({signal})")
+            port.engine.fail(f"{user}: {pin} is {is_}, expected {expected} ({signal})")
+
+
+def place(pin: Pin) -> tuple[int, int]:
+    """Return the numbers of its port and its own, as C counts."""
+    return PORTS.index(pin.port), pin.number
 
 
 def _place(name: str) -> tuple[int, int]:
-    return PORTS.index(name[1]), int(name[2:])
+    return place(Pin.of(name))

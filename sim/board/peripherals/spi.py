@@ -1,14 +1,14 @@
-"""SPI1 and SPI3 as masters: the rules of their set-up, and bit errors. Bytes move in C (native/c/spi.c)."""
+"""SPI1 to SPI3 as masters: the rules of their set-up, and bit errors. Bytes move in C (native/c/spi.c)."""
 
 from __future__ import annotations
 
 import random
 
 from neuroflight.sim.board.native.library import Native, NativeDevice
-from neuroflight.sim.board.peripherals.gpio import Pins
+from neuroflight.sim.board.peripherals.gpio import PORTS, Pins, place
 from neuroflight.sim.board.registers.bus import load_table
 
-SPIS = ("SPI1", "SPI3")  # in C's order
+SPIS = ("SPI1", "SPI2", "SPI3")  # in C's order
 
 
 class Spi(NativeDevice):
@@ -19,9 +19,14 @@ class Spi(NativeDevice):
         alarm = f"{name.lower()}.byte"
         super().__init__(native, name, lib.SPI, SPIS.index(name), alarm=alarm, interrupts=(irq,))
         self._pins = pins
+        if (signal := pins.signals.get(f"{name}_MISO")) is not None:
+            lib.native_miso(native.handle, SPIS.index(name), *place(signal[0]))
         self.queries = {
             lib.QUERY_SEND: lambda a, b: self._validate(),
             lib.QUERY_BUSY: "{name}_CR1 is changed while a transfer is under way, expected {name}_SR BSY 0",
+            lib.QUERY_SELECTED: lambda one, other: self.engine.fail(
+                f"{name} moves a byte with two chips selected, by {_pin(one)} and {_pin(other)}, expected one"
+            ),
             lib.QUERY_FULL: "{name}_DR is written while its FIFO is full, expected {name}_SR TXE before",
         }
 
@@ -46,12 +51,12 @@ class Spi(NativeDevice):
 
 
 class GyroSpi(Spi):
-    """SPI1, behind which C finds the gyro chip, and bit errors on received bytes."""
+    """The SPI behind which C finds the gyro chip, and bit errors on what it receives from there."""
 
     kept = ("_random", "bit_error_rate")
 
-    def __init__(self, native: Native, pins: Pins, seed: int = 0) -> None:
-        super().__init__(native, "SPI1", pins)
+    def __init__(self, native: Native, name: str, pins: Pins, seed: int = 0) -> None:
+        super().__init__(native, name, pins)
         self._random = random.Random(seed)
         self._bit_error_rate = 0.0
         native.on_errors = self._with_errors
@@ -71,3 +76,7 @@ class GyroSpi(Spi):
             byte ^ sum((self._random.random() < self._bit_error_rate) << bit for bit in range(8))
             for byte in received
         )
+
+
+def _pin(code: int) -> str:
+    return f"P{PORTS[code >> 4]}{code & 15}"

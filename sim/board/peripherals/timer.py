@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from neuroflight.sim.board.native.library import Native, NativeDevice
 from neuroflight.sim.board.peripherals.dma import DmaSystem
-from neuroflight.sim.board.peripherals.gpio import SIGNALS, Pins
+from neuroflight.sim.board.peripherals.gpio import Pins
 from neuroflight.sim.board.registers.bus import load_table
 
 TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")  # in C's order
@@ -17,9 +16,6 @@ _UPDATE_IRQ = {"TIM1": "TIM1_UP_TIM10", "TIM8": "TIM8_UP_TIM13"}
 _PWM_1 = 6  # OCxM: high while the counter is below the compare value
 _CCR1 = 13  # DCR counts words from CR1
 _FED = ("CCR", "ARR", "PSC")  # what registers that DMA may write begin with
-
-# Called with the cycle at which the first period began, its length and the high time of each [cycles].
-Output = Callable[[int, int, Sequence[int]], None]
 
 
 class Timer(NativeDevice):
@@ -33,21 +29,16 @@ class Timer(NativeDevice):
             alarm=f"{name.lower()}.update", interrupts=(irq,), advanced=name in ADVANCED,
         )  # fmt: skip
         self._pins = pins
-        self.outputs: dict[int, Output] = {}  # by channel 1..4; get pulses that are no plain frame
         first = lib.TIMER_SOURCE + (1 + CHANNELS) * place
         self._update = dma.request(f"{name}_UP", first)
         self._channels = [dma.request(f"{name}_CH{i}", first + i) for i in range(1, 1 + CHANNELS)]
         self.queries = {
             lib.QUERY_OUTPUT: lambda channel, _: self._validate_output(channel),
             lib.QUERY_TARGET: lambda request, _: self._validate_targets(request),
-            lib.QUERY_COMPARE: "{name}_DIER CC{a}DE with CR2 CCDS 0: requests at compare are not modelled, "
-            "expected CCDS 1",
+            lib.QUERY_COMPARE: "{name}_CH{a} feeds a register of the timer with CR2 CCDS 0: modelled at "
+            "updates only, expected CCDS 1",
             lib.QUERY_DMAR: lambda write, _: self._reject_dmar(bool(write)),
         }
-
-    def on_pulses(self, channel: int, start: int, length: int, highs: list[int]) -> None:
-        if channel in self.outputs:
-            self.outputs[channel](start, length, highs)
 
     def _reject_dmar(self, write: bool) -> NoReturn:
         if write:
@@ -63,8 +54,6 @@ class Timer(NativeDevice):
             self.engine.fail(f"{signal} makes pulses while {self.name}_BDTR MOE is 0, expected 1")
         if mode != _PWM_1:
             self.engine.fail(f"{signal} is driven with OC{channel}M {mode}, expected 6: PWM mode 1")
-        if signal not in SIGNALS:
-            self.engine.fail(f"{signal} makes pulses, but the board leads it to no pin")
         self._pins.expect(signal, f"{self.name} makes pulses on channel {channel}")
 
     def _validate_targets(self, request: int) -> None:
@@ -75,7 +64,7 @@ class Timer(NativeDevice):
         if name != "DMAR":
             if name is None or not name.startswith(_FED):
                 source = f"{self.name}_{f'CH{request}' if request else 'UP'}"
-                self.engine.fail(f"{source} feeds {name or 'pins'}, expected a CCR, ARR, PSC or DMAR")
+                self.engine.fail(f"{source} feeds {name or 'nothing'}, expected a CCR, ARR, PSC or DMAR")
             return
         first, count = self.get("DCR", "DBA"), self.get("DCR", "DBL") + 1
         burst = [names.get(4 * (first + i), "?") for i in range(count)]

@@ -35,7 +35,7 @@ _STATED: tuple[tuple[str, str, int, str, int | None, str, str], ...] = (
     *(("NVIC_ISER", str(i), 0xE000E100 + 4 * i, "rw", 0, "ARMv7-M B3.4.4", "SETENA@0+32") for i in range(4)),
     *(
         ("NVIC_IPR", str(i), 0xE000E400 + 4 * i, "rw", 0, "ARMv7-M B3.4.9", "")
-        for i in (2, 14)  # of interrupts 9 and 58
+        for i in (2, 14, 15, 17)  # of interrupts 9, 58, 60 and 69
     ),
     ("SCB_ICSR", "", 0xE000ED04, "rw", 0, "ARMv7-M B3.2.4", "VECTACTIVE@0+9"),
     ("SCB_VTOR", "", 0xE000ED08, "rw", None, "ARMv7-M B3.2.5", ""),

@@ -119,7 +119,7 @@ MODELLED: dict[str, dict[str, str]] = {
 }
 
 # Accesses narrower than a word (RM0431: GPIO by byte, half-word and word; SPI_DR packs data by width).
-_NARROW = {"GPIO": (1, 2, 4), **{f"SPI{n}.DR": (1, 2, 4) for n in (1, 2, 3)}, "TIM": (2, 4)}
+_NARROW = {"GPIO": (1, 2, 4), **{f"SPI{i}.DR": (1, 2, 4) for i in (1, 2, 3)}, "TIM": (2, 4)}
 _ACCESS = {"read-write": "rw", "read-only": "r", "write-only": "w", None: "rw"}
 _CORE = 0xE0000000  # from here on it is the core's, which the engine knows (ARMv7-M B3.1)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
@@ -20,10 +21,13 @@ from neuroflight.sim.arrays import Array
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
-from neuroflight.sim.board.devices.sd_card import SdCard
-from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
+from neuroflight.sim.board.devices.log_place import LogChip
+from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, MATEKF722, Gyro
+from neuroflight.sim.board.peripherals.signals import uart_name
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
+from neuroflight.toolchain.boards import facts
+from neuroflight.toolchain.boards.allocation import allocate
 from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BANK_B,
@@ -54,9 +58,10 @@ class IdleBoard:
         flash: bytes,
         *,
         elf: Path | None = None,
+        wiring: facts.Board = MATEKF722,
         volts: float = FULL_VOLTS,
         gyro: Gyro = GYRO,
-        card: SdCard | None = None,
+        card: LogChip | None = None,
         seed: int = 0,
         boot_button: bool = False,
         newly_installed: bool = False,
@@ -71,12 +76,15 @@ class IdleBoard:
         self.board = Board(
             flash,
             elf=elf,
+            board=wiring,
             chip=gyro.chip,
             card=card,
             boot_button=boot_button,
             newly_installed=newly_installed,
             watchdog_resets=watchdog_resets,
         )
+        number = allocate(wiring).msp
+        self.msp_uart = MSP_UART if number is None else uart_name(number)
         self._alignment, self._temperature = gyro.alignment, gyro.chip.temperature(TEMPERATURE_DEG_C)
         self.board.hardware.adc.set_battery(volts, 0.0)
         self.run_core = self.board.run_to  # to a cycle; a debugger may stand in for it
@@ -95,13 +103,13 @@ class IdleBoard:
     def boot(self) -> None:
         """Run until the image hears its MSP line, or the ROM runs, or for 2 s. Raises BoardError."""
         end = self.board.cycle + round(BOOT_S * TIME_HZ)
-        uart, rom = self.board.hardware.usarts[MSP_UART], self.board.hardware.rom
+        uart, rom = self.board.hardware.usarts[self.msp_uart], self.board.hardware.rom
         while self.board.cycle < end and not (uart.words["CR1"] & 1 or rom.runs):
             self.run_to(self.board.cycle + STEP)
 
-    def client(self, baud: float = MSP_BAUD_DEFAULT, uart: str = MSP_UART) -> Client:
-        """Open an MSP client on the other end of `uart`, in lockstep with the board."""
-        transport = LineTransport(UartLine(self.board, uart, Format(baud)), self.run_to)
+    def client(self, baud: float = MSP_BAUD_DEFAULT, uart: str | None = None) -> Client:
+        """Open an MSP client on the other end of `uart`, by default the first, in lockstep with the board."""
+        transport = LineTransport(UartLine(self.board, uart or self.msp_uart, Format(baud)), self.run_to)
         return Client(transport, transport.clock)
 
     def flash(self) -> bytes:
@@ -118,7 +126,7 @@ class IdleBoard:
         self.board.hardware.gyro.measure(
             accel_counts((x, y, z + GRAVITY), self._alignment),
             self._temperature,
-            gyro_counts(rate, self._alignment),
+            gyro_counts(rate, self._alignment, self.board.hardware.gyro.kind.gyro_scale),
         )
 
 
@@ -198,20 +206,37 @@ def with_image(image: bytes, kept: bytes | None) -> bytes:
     return bytes(flash)
 
 
-def configured(image: bytes, elf: Path, settings: Mapping[str, float], gyro: Gyro = GYRO) -> bytes:
+@dataclass(frozen=True)
+class _Wired:
+    """A board that can be a key."""
+
+    board: facts.Board = field(compare=False)
+    told: str  # all that it consists of
+
+
+def configured(
+    image: bytes,
+    elf: Path,
+    settings: Mapping[str, float],
+    gyro: Gyro = GYRO,
+    wiring: facts.Board = MATEKF722,
+) -> bytes:
     """Return flash with `image` and `settings`, stored by the image itself; elf: for names and lines.
 
     A board boots, is told each over MSP, stores them, loses power, boots again and is asked for them.
     Returns the whole flash. Raises LinkError for a setting that the image refuses, BoardError.
     An idle board repeats itself to the bit: the same image with the same settings is asked once.
     """
-    return _configured(image, load_program(elf), tuple(settings.items()), gyro)
+    wired = _Wired(wiring, repr(wiring))
+    return _configured(image, load_program(elf), tuple(settings.items()), gyro, wired)
 
 
 @lru_cache(maxsize=16)
-def _configured(image: bytes, program: Program, given: tuple[tuple[str, float], ...], gyro: Gyro) -> bytes:
+def _configured(
+    image: bytes, program: Program, given: tuple[tuple[str, float], ...], gyro: Gyro, wired: _Wired
+) -> bytes:
     settings, elf = dict(given), program.path
-    idle = IdleBoard(image, elf=elf, gyro=gyro)
+    idle = IdleBoard(image, elf=elf, wiring=wired.board, gyro=gyro)
     try:
         idle.boot()
         asked = Settings(idle.client())

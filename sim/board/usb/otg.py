@@ -34,8 +34,8 @@ from neuroflight.sim.board.usb.fifos import (
     TransmitFifo,
     words_of,
 )
+from neuroflight.toolchain.boards.facts import Pin
 
-VBUS_PIN = "PB12"  # behind the board's divider
 USB_HZ = 48_000_000
 _USB_TOLERANCE = 0.0025  # of a full-speed device (USB 2.0, 7.1.11)
 _AHB_MIN = 14_200_000  # [Hz] (RM0431, OTG_FS: AHB frequency)
@@ -161,8 +161,8 @@ class Otg(Kept):
         "_idle_seen",  "_global_in_nak", "_global_out_nak", "_asserted",
     )  # fmt: skip
 
-    def __init__(self, engine: Engine, pins: Pins, rcc: Rcc) -> None:
-        self.engine, self._pins, self._rcc = engine, pins, rcc
+    def __init__(self, engine: Engine, pins: Pins, rcc: Rcc, supply: Pin | None) -> None:
+        self.engine, self._pins, self._rcc, self._supply = engine, pins, rcc, supply
         self.core = _Block(engine, "OTG_FS_GLOBAL")
         self.device = _Block(engine, "OTG_FS_DEVICE")
         self.power = Device(engine, "OTG_FS_PWRCLK")
@@ -180,7 +180,7 @@ class Otg(Kept):
         self._begin()
         self._connect()
         self.core.reset = self._reset_core  # type: ignore[method-assign]
-        pins.drive(VBUS_PIN, False)
+        self._show_supply(False)
 
     @property
     def devices(self) -> tuple[Device, ...]:
@@ -268,9 +268,14 @@ class Otg(Kept):
     def vbus(self, present: bool) -> None:
         """See cable.Device. The core itself does not see it (module docstring)."""
         self.vbus_present = present
-        self._pins.drive(VBUS_PIN, present)
+        self._show_supply(present)
         self._idle_seen = False
         self._idle.set(self.engine.cycle + _IDLE)
+
+    def _show_supply(self, present: bool) -> None:
+        """Set the pin that shows VBUS by the board's divider, where there is one."""
+        if self._supply is not None:
+            self._pins.drive(str(self._supply), present)
 
     def bus_reset(self) -> None:
         """See cable.Device."""

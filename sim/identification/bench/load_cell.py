@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from neuroflight.sim.arrays import Array
-from neuroflight.sim.strict_toml import StrictTable, parse_toml, shown
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import DynoError
 from neuroflight.toolchain.files import read_limited, write_text
+from neuroflight.toolchain.strict_toml import StrictTable, parse_toml, shown
 
 FORCE, TORQUE = "N", "N m"
 LOADS_MIN = 3  # different ones, none among them: two points lie on a line whatever the cell does

@@ -9,8 +9,8 @@ from neuroflight.sim.aircraft.model import RPM, TorqueResponse, load_aircraft
 from neuroflight.sim.identification.dyno.fit import Fit
 from neuroflight.sim.identification.dyno.points import PointsFit
 from neuroflight.sim.identification.dyno.robust_fit import Estimate
-from neuroflight.sim.strict_toml import parse_toml
 from neuroflight.toolchain.errors import AircraftError
+from neuroflight.toolchain.strict_toml import parse_toml
 
 DIGITS = 6  # significant, of a number written
 NOTE = "# Fitted by `neuroflight dyno fit` to "

@@ -31,6 +31,9 @@ from unicorn.arm_const import (
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.registers.core_registers import Register
 from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.toolchain.boards.allocation import allocate
+from neuroflight.toolchain.boards.description import pack
+from neuroflight.toolchain.boards.table import find_board
 from neuroflight.toolchain.codegen.compiler import compile_policy
 from neuroflight.toolchain.contract import (
     DTCM,
@@ -41,8 +44,9 @@ from neuroflight.toolchain.contract import (
     SRAM2,
     observation_blocks,
 )
-from neuroflight.toolchain.files import locked, write_text_if_changed
+from neuroflight.toolchain.files import locked, write_bytes_if_changed, write_text_if_changed
 from neuroflight.toolchain.image.bank_state import proven
+from neuroflight.toolchain.image.build import BOARD_FAMILY, BOARD_TABLE
 from neuroflight.toolchain.ir.network import chain
 from neuroflight.toolchain.ir.operations import Clip, Linear, Operation, Tanh
 from neuroflight.toolchain.policy.model import PolicyModel
@@ -74,12 +78,14 @@ FOLLOWS = {
     "SYST_CSR": (("COUNTFLAG", "SYST_CSR", "ENABLE"),),
     "PWR_CSR1": (("ODRDY", "PWR_CR1", "ODEN"), ("ODSWRDY", "PWR_CR1", "ODSWEN")),
 }
+APB1 = ("SPI2", "SPI3", "USART2", "USART3", "UART4", "UART5")
+APB2 = ("SPI1", "USART1", "USART6")
 CLOCK_OF = {
-    **{f"GPIO{port}": ("RCC_AHB1ENR", f"GPIO{port}EN") for port in "ABC"},
+    **{f"GPIO{port}": ("RCC_AHB1ENR", f"GPIO{port}EN") for port in "ABCDE"},
     **{f"DMA{number}": ("RCC_AHB1ENR", f"DMA{number}EN") for number in (1, 2)},
     "OTG": ("RCC_AHB2ENR", "OTGFSEN"),
-    **{name: ("RCC_APB1ENR", f"{name}EN") for name in ("PWR", "TIM3", "USART2", "USART3")},
-    **{name: ("RCC_APB2ENR", f"{name}EN") for name in ("TIM1", "TIM8", "ADC1", "USART1", "SPI1", "SYSCFG")},
+    **{name: ("RCC_APB1ENR", f"{name}EN") for name in ("PWR", *APB1)},
+    **{name: ("RCC_APB2ENR", f"{name}EN") for name in ("TIM1", "ADC1", "SYSCFG", *APB2)},
 }
 
 
@@ -118,12 +124,13 @@ def make_image(scratch: Path) -> None:
     write_text_if_changed(scratch / "policy.h", emission.header)
     write_text_if_changed(scratch / "nf_contract.h", render_contract())
     write_text_if_changed(scratch / "pid_table.c", render_pid_table(pid, WIDTHS[-1], CONTROL_HZ))
+    write_bytes_if_changed(scratch / "build" / BOARD_TABLE, pack(allocate(find_board("MATEKF722"))))
     firmware = ROOT / "firmware"
     named = [
         f"{name}={os.path.relpath(path, firmware)}"
         for name, path in (("GENERATED", scratch), ("BUILD", scratch / "build"))
     ]
-    make = ["make", "-s", f"-j{os.cpu_count() or 1}", "-C", str(firmware), "TARGET=MATEKF722", *named]
+    make = ["make", "-s", f"-j{os.cpu_count() or 1}", "-C", str(firmware), f"TARGET={BOARD_FAMILY}", *named]
     done = subprocess.run(make, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
@@ -318,9 +325,9 @@ class Sketch:
 class Chip:
     """The gyro chip at the other end of SPI1: registers, byte by byte. Notes what breaks its rules."""
 
-    def __init__(self, sketch: Sketch, identity: int) -> None:
+    def __init__(self, sketch: Sketch, identity: int, told_at: int = 0x75) -> None:
         self.sketch = sketch
-        self.registers = {0x75: identity}
+        self.registers = {told_at: identity}
         self.written: list[tuple[int, int]] = []
         self.broken_rules: list[str] = []
         self._bytes: list[int] = []

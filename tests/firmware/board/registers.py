@@ -18,34 +18,29 @@ _IN_USE = {
     "FLASH": "ACR KEYR SR CR OPTCR",
     "PWR": "CR1 CSR1",
     "RCC": "CR PLLCFGR CFGR CIR AHB1ENR AHB2ENR APB1ENR APB2ENR CSR",
-    "GPIOA": _GPIO,
-    "GPIOB": _GPIO,
-    "GPIOC": _GPIO,
-    "SYSCFG": "EXTICR1",
+    **{f"GPIO{port}": _GPIO for port in "ABCDE"},
+    "SYSCFG": "EXTICR",
     "DMA1": _DMA,
     "DMA2": _DMA,
     "EXTI": "IMR RTSR PR",
-    "TIM1": "CR1 CR2 DIER EGR CCMR1 CCER CNT PSC ARR CCR BDTR",
-    "TIM3": "CR1 DIER EGR CCMR2 CCER CNT PSC ARR CCR",
-    "TIM8": "CR1 DIER EGR CCMR1 CCMR2 CCER CNT PSC ARR CCR BDTR DCR DMAR",
-    "ADC1": "SR CR1 CR2 SMPR1 SQR1 SQR3 DR",
+    "TIM1": "CR1 CR2 DIER EGR CNT PSC ARR",
+    "ADC1": "SR CR1 CR2 SMPR1 SMPR2 SQR1 SQR3 DR",
     "ADC_Common": "CCR",
     "IWDG": "KR PR RLR SR",
     "DBGMCU": "APB1FZ",
-    "SPI1": "CR1 CR2 SR DR",
-    "SPI3": "CR1 CR2 SR DR",
-    "USART1": _USART,
-    "USART2": _USART,
-    "USART3": _USART,
+    **dict.fromkeys(("SPI1", "SPI2", "SPI3"), "CR1 CR2 SR DR"),
+    **dict.fromkeys(("USART1", "USART2", "USART3", "UART4", "UART5", "USART6"), _USART),
     "OTG_FS_GLOBAL": "GOTGCTL GUSBCFG GRSTCTL GINTSTS GRXSTSP GRXFSIZ DIEPTXF0 DIEPTXF GCCFG",
     "OTG_FS_DEVICE": "DCFG DCTL DSTS DIEPMSK DAINTMSK DIEPCTL DIEPINT DIEPTSIZ DOEPCTL DOEPTSIZ",
     "OTG_FS_PWRCLK": "PCGCCTL",
     **{f"OTG_FS_FIFO{n}": "FIFO" for n in range(3)},
 }
-_STREAMS = {"DMA1": "012357", "DMA2": "0123567"}  # of the controllers' eight
+_STREAMS = {"DMA1": "01234567", "DMA2": "01234567"}
 _ENDPOINTS = "012"  # of USB's six
 _MANUALS = {"ADC_Common": "ADC", "APB1_FZ": "APB1FZ"}  # the manual's names where the vendor's differ
-_FAMILIES = re.compile(r"(GPIO|DMA|TIM|SPI|USART)[A-Z0-9]+")  # instances that share their registers' names
+_FAMILIES = re.compile(
+    r"(GPIO|DMA|TIM|SPI|USART|UART)[A-Z0-9]+"
+)  # instances that share their registers' names
 
 
 def registers_in_use(table: Table | None = None) -> tuple[Register, ...]:
@@ -57,15 +52,15 @@ def registers_in_use(table: Table | None = None) -> tuple[Register, ...]:
 def _peripheral(table: Table, name: str) -> Iterator[Register]:
     block, wanted = table.blocks[name], set(_IN_USE[name].split())
     family = match[1] if (match := _FAMILIES.fullmatch(name)) else _MANUALS.get(name, name)
-    family = "OTG" if name.startswith("OTG_FS_") else family
+    family = {"UART": "USART"}.get(family, "OTG" if name.startswith("OTG_FS_") else family)
     missing = set(wanted)
     for vendors in block.registers.values():
         title, index = _MANUALS.get(vendors.name, vendors.name), ""
-        # In the header the number is an argument: S1CR is SCR, index 1; CCR2 is CCR, index 2.
+        # In the header the number is an argument: S1CR is SCR, index 1.
         if family == "DMA" and (one := re.fullmatch(r"S(\d)(\w+)", title)):
             title, index = f"S{one[2]}", one[1]
-        elif family == "TIM" and (one := re.fullmatch(r"CCR([1-4])", title)):
-            title, index = "CCR", one[1]
+        elif family == "SYSCFG" and (one := re.fullmatch(r"EXTICR([1-4])", title)):
+            title, index = "EXTICR", one[1]
         elif family == "OTG" and title == "DFIFO":
             title, index = "FIFO", name[-1]
         elif family == "OTG" and (one := re.fullmatch(r"(D[IO]EP\w+?)(\d)", title)) and title != "DIEPTXF0":

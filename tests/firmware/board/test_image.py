@@ -34,6 +34,8 @@ NULL_PAGE = 512  # bytes at the start of ITCM that the MPU closes
 POLICY_POINTERS = 16  # bytes of struct policy beside its floats, at most
 SYSTEM_VECTORS = 16
 TICK_VECTOR = 15
+# DMA streams by which an SPI's receiver may come, but for those that the motors' ports need (RM0431 8.3.3).
+GYRO_READS = ("DMA1_STREAM0", "DMA1_STREAM2", "DMA1_STREAM3", "DMA2_STREAM0", "DMA2_STREAM2")
 HOT = (
     *(
         "gyro_edge_handler",
@@ -59,7 +61,9 @@ HOT = (
 WHILE_FLASH_IS_BUSY = ("flash_memory_erase_sector", "flash_memory_program_words", "core_clean_caches")
 DMA_BUFFERS = ("gyro_response", "receiver_ring_bytes")
 # What DMA reads, which must not be DTCM while the core sleeps, and the background's.
-SLOW_DMA_BUFFERS = (*("motor_slots", "gyro_request", "msp_rings", "msp_buffers", "power_conversions"),)
+SLOW_DMA_BUFFERS = (
+    *("motor_words", "motor_samples", "gyro_request", "msp_rings", "msp_buffers", "power_conversions"),
+)
 # Functions of libm, and what they call themselves.
 LIBM = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "exp2", "expm1"),
@@ -140,8 +144,13 @@ def test_every_vector_points_at_code_when_the_bank_starts(elf: ELFFile, symbols:
     own = {
         1: "reset_handler",
         TICK_VECTOR: "tick_handler",
-        SYSTEM_VECTORS + interrupts["EXTI3"]: "gyro_edge_handler",
-        SYSTEM_VECTORS + interrupts["DMA2_STREAM2"]: "gyro_sample_handler",
+        **{
+            SYSTEM_VECTORS + n: "gyro_edge_handler"
+            for name, n in interrupts.items()
+            if name.startswith("EXTI")
+        },
+        **{SYSTEM_VECTORS + interrupts[name]: "gyro_sample_handler" for name in GYRO_READS},
+        **{SYSTEM_VECTORS + interrupts[f"DMA2_STREAM{n}"]: "motors_sent_handler" for n in (1, 3, 4, 6)},
     }
     assert allocated(elf)[".vectors"].address == FLASH_BANK_A.address
     assert symbols["fast_vectors"] % 512 == 0  # of 120 vectors (ARMv7-M B3.2.5)

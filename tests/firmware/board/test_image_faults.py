@@ -90,7 +90,8 @@ def test_motors_are_low_before_anything_else_when_a_fault_comes(board: Board) ->
     low |= {("GPIO_BSRR GPIOB", 1 << 17), ("GPIO_BSRR GPIOA", 1 << 24)}
     assert low <= set(written)
     assert written[-1] == ("SCB_AIRCR SCB", 0x05FA0004)
-    assert {name.split("_")[0] for name, _ in written[1:-1]} == {"GPIO"}
+    assert written.index(("TIM_DIER TIM1", 0)) < min(map(written.index, low)), "no word of a frame follows"
+    assert {name.split("_")[0] for name, _ in written[1:-1]} == {"RCC", "TIM", "GPIO"}
 
 
 def test_registers_and_status_are_kept_across_the_reset_when_a_fault_comes(board: Board) -> None:
@@ -157,7 +158,7 @@ def test_the_clock_is_blamed_when_its_interrupt_comes(board: Board) -> None:
 
 
 def test_file_and_line_are_kept_when_an_assertion_fails(board: Board) -> None:
-    board.sketch.call_to_reset(board.symbols["motors_run"], 1, 7)  # seven motors
+    board.sketch.call_to_reset(board.symbols["motors_run"], 1, 0, 9)  # nine motors
     board.boot(SOFTWARE)
     record = board.take()
     assert record is not None

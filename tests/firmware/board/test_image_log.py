@@ -93,10 +93,10 @@ def test_the_card_is_spoken_to_slowly_then_quickly(
     make_booted: Callable[[], Any], symbols: dict[str, int]
 ) -> None:
     board = make_booted()
-    board.call_with(symbols["card_spi_start"])
+    board.call_with(symbols["log_spi_start"])
     divider = 2 << (board.peek(SPI3_CR1) >> 3 & 7)
     assert APB1_HZ / divider <= 400e3
-    board.call_with(symbols["card_speed"], 0, 1)
+    board.call_with(symbols["log_spi_speed"], 0, 1)
     assert 10e6 < APB1_HZ / (2 << (board.peek(SPI3_CR1) >> 3 & 7)) <= 25e6
     assert board.peek(GPIOB_AFRL) >> 12 & 0xFFF == 0x666, "PB3, PB4, PB5: SPI3"
     assert board.sins == []
@@ -106,15 +106,15 @@ def test_one_buffer_out_of_sight_of_the_cache_goes_out_and_in(
     make_booted: Callable[[], Any], symbols: dict[str, int]
 ) -> None:
     board = make_booted()
-    board.call_with(symbols["card_spi_start"])
-    board.call_with(symbols["card_start"], 0, 520)
-    place = symbols["card_bytes"]
+    board.call_with(symbols["log_spi_start"])
+    board.call_with(symbols["log_spi_move"], 0, 520)
+    place = symbols["spi_bytes"]
     assert SRAM2.address <= place and place + 520 <= SRAM2.address + SRAM2.size
     assert board.peek(DMA1_S0M0AR) == board.peek(DMA1_S7M0AR) == place
     assert board.peek(DMA1_S0NDTR) == 520
     assert board.peek(DMA1_S0CR) & board.peek(DMA1_S7CR) & ENABLED
-    assert not board.call_with(symbols["card_done"], 0) & 0xFF
+    assert not board.call_with(symbols["log_spi_moved"], 0) & 0xFF
     board.poke(DMA1_S0CR, board.peek(DMA1_S0CR) & ~ENABLED)
-    assert board.call_with(symbols["card_done"], 0) & 0xFF
+    assert board.call_with(symbols["log_spi_moved"], 0) & 0xFF
     assert not board.peek(DMA1_S7CR) & ENABLED
     assert board.sins == []

@@ -9,11 +9,17 @@ from typing import Any
 import pytest
 from unicorn.arm_const import UC_ARM_REG_R1
 
-from neuroflight.toolchain.contract import GYRO_BAD_MS, GYRO_EDGE_RATE_HZ
+from neuroflight.toolchain.contract import (
+    GYRO_BAD_MS,
+    GYRO_EDGE_RATE_HZ,
+    GYROS_NOT_FLOWN,
+    Alignment,
+    GyroChip,
+)
 
-TRANSFER_BYTES = 15  # address byte, accelerometer, temperature, gyro
+TRANSFER_BYTES = 15  # address byte, accelerometer, temperature, gyro in some order
 ACCEL_XOUT_H, READ = 0x3B, 0x80
-ZERO, ONE = 135, 270  # ticks that a DShot bit is high, of 360
+ZERO, BITS, FRAME_WORDS = 1, 16, 54  # thirds of a bit that a zero lasts; of a frame
 DMA2 = 0x40026400
 RX_DONE = 1 << 21  # DMA_LISR TCIF2
 
@@ -39,6 +45,10 @@ class Flight:
     ) -> None:
         """DMA has moved the bytes."""
         self.sketch.uc.mem_write(self.stream(2, "SM0AR"), struct.pack(">B7h", 0, *accel, temperature, *gyro))
+        self.end_read()
+
+    def end_read(self) -> None:
+        """DMA ends, whatever it has moved."""
         for stream in (2, 3):
             self._end(stream)
         self.sketch.poke(DMA2, RX_DONE)
@@ -50,7 +60,7 @@ class Flight:
 
     def finish_frame(self) -> None:
         """DMA has moved the motor frame."""
-        self._end(1)
+        self._end(6)
 
     def stream(self, stream: int, register: str) -> int:
         """A register of DMA2's stream."""
@@ -58,9 +68,11 @@ class Flight:
         return int(self.sketch.peek(DMA2 + 0x10 + 0x18 * stream + offset))
 
     def frames(self) -> list[list[int]]:
-        """Compare values of each motor's frame, bit by bit, as DMA will find them."""
-        words = struct.unpack("<72I", self.sketch.uc.mem_read(self.stream(1, "SM0AR"), 288))
-        return [list(words[motor::4]) for motor in range(4)]
+        """What motors 1 to 4 (PC6 to PC9) will hear: each bit's pulse, in thirds of a bit."""
+        data = self.sketch.uc.mem_read(self.stream(6, "SM0AR"), 4 * FRAME_WORDS)
+        words = struct.unpack(f"<{FRAME_WORDS}I", data)
+        assert set(words[0 : 3 * BITS : 3]) == {0x3C0} and set(words[2::3]) == {0x3C0 << 16}
+        return [[1 + (word >> 22 + motor & 1 ^ 1) for word in words[1 : 3 * BITS : 3]] for motor in range(4)]
 
     def _end(self, stream: int) -> None:
         self.sketch.poke(DMA2 + 0x10 + 0x18 * stream, self.stream(stream, "SCR") & ~1)
@@ -86,9 +98,9 @@ def board_with(
 ) -> Callable[[int], Flight]:
     """Makes flights of a board whose gyro chip has some identity."""
 
-    def make(identity: int) -> Flight:
+    def make(identity: int, told_at: int = 0x75) -> Flight:
         sketch = make_sketch(cycles_a_read=2000)
-        return Flight(sketch, symbols, make_chip(sketch, identity))
+        return Flight(sketch, symbols, make_chip(sketch, identity, told_at))
 
     return make
 
@@ -107,10 +119,10 @@ def test_the_gyro_is_set_up_slowly_and_runs_fast_when_it_answers(flight: Flight)
     assert flight.chip.broken_rules == []
     assert 108e6 / (2 << flight.sketch.field("SPI_CR1", "BR", "SPI1")) == 13.5e6
     assert flight.sketch.field("EXTI_IMR", "IM3") == flight.sketch.field("EXTI_RTSR", "TR3") == 1
-    assert flight.sketch.field("SYSCFG_EXTICR1", "EXTI3") == 2  # port C
-    # Interrupts 9 and 58 enabled, at priorities 1 and 2 of the upper four bits.
+    assert flight.sketch.field("SYSCFG_EXTICR", "EXTI3", index="1") == 2  # port C
+    # Interrupts 9 and 58 enabled, at priorities 1 and 3 of the upper four bits.
     assert [flight.sketch.peek(0xE000E100 + 4 * word) for word in range(4)] == [1 << 9, 1 << 26, 0, 0]
-    assert (flight.sketch.peek(0xE000E408), flight.sketch.peek(0xE000E438)) == (0x1000, 0x200000)
+    assert (flight.sketch.peek(0xE000E408), flight.sketch.peek(0xE000E438)) == (0x1000, 0x300000)
     assert flight.sketch.sins == []
 
 
@@ -147,21 +159,85 @@ def test_kin_are_read_slowly_at_the_same_scale(
 
 
 @pytest.mark.parametrize(
-    ("identity", "alignment", "chip"),  # 2: CW180, 1: CW90
-    [(0x70, 2, 0), (0x98, 1, 1), (0x12, 2, 2), (0xAC, 2, 3), (0xAF, 2, 4), (0x71, 2, 5), (0x68, 2, 2)],
+    ("chip", "identity", "told_at"),
+    [
+        *(("MPU6500", 0x70, 0x75), ("ICM20689", 0x98, 0x75), ("ICM20602", 0x12, 0x75)),
+        *(("ICM20601", 0xAC, 0x75), ("ICM20608G", 0xAF, 0x75), ("MPU9250", 0x71, 0x75)),
+        *(("MPU6000", 0x68, 0x75), ("ICM42688P", 0x47, 0x75), ("ICM42605", 0x42, 0x75)),
+        *(("LSM6DSV16X", 0x70, 0x0F), ("LSM6DSK320X", 0x75, 0x0F), ("BMI270", 0x24, 0x00)),
+    ],
 )
 def test_the_board_says_which_chip_it_has_and_how_it_is_turned_when_it_is_known(
-    identity: int, alignment: int, chip: int, board_with: Callable[[int], Flight], symbols: dict[str, int]
+    chip: str, identity: int, told_at: int, board_with: Callable[..., Flight], symbols: dict[str, int]
 ) -> None:
-    sketch = board_with(identity).sketch
-    told = bytes(sketch.uc.mem_read(symbols["info"] + 4, 3))  # struct hal_info
-    assert told == bytes([alignment, chip, identity])
+    flight = board_with(identity, told_at)
+    told = bytes(flight.sketch.uc.mem_read(symbols["info"] + 4, 3))  # struct hal_info
+    assert told == bytes([Alignment.CW180, GyroChip[chip], identity])
+    assert flight.sketch.field("EXTI_IMR", "IM3") == (GyroChip[chip] not in GYROS_NOT_FLOWN)
+    assert bool(flight.chip.written) == (GyroChip[chip] not in GYROS_NOT_FLOWN)
+    assert flight.chip.broken_rules == []
 
 
-def test_another_chip_is_not_flown_when_it_answers(board_with: Callable[[int], Flight]) -> None:
-    flight = board_with(0x68)  # an MPU6000
+def test_another_chip_is_not_flown_when_it_answers(board_with: Callable[..., Flight]) -> None:
+    flight = board_with(0x19)
     assert flight.sketch.field("EXTI_IMR", "IM3") == 0
-    assert 0x1B not in flight.chip.registers
+    assert flight.chip.written == []
+
+
+class Banked(dict[int, int]):
+    """Registers of a chip with banks, which tells what it is in the first of them only."""
+
+    def get(self, address: int, default: int = 0) -> int:  # type: ignore[override]
+        return default if address == 0x75 and self[0x76] else super().get(address, default)
+
+
+@pytest.mark.parametrize(("bank", "known"), [(1, True), (4, True), (5, False), (0xFF, False)])
+def test_a_chip_that_a_reset_left_in_another_bank_is_found_and_none_else_is_written_to(
+    bank: int,
+    known: bool,
+    make_sketch: Callable[..., Any],
+    make_chip: Callable[..., Any],
+    symbols: dict[str, int],
+) -> None:
+    sketch = make_sketch(cycles_a_read=2000)
+    chip = make_chip(sketch, 0x47)
+    chip.registers = Banked({0x75: 0x47, 0x76: bank})
+    flight = Flight(sketch, symbols, chip)
+    assert chip.written[:1] == ([(0x76, 0)] if known else [])
+    assert (flight.sketch.field("EXTI_IMR", "IM3") == 1) is known
+
+
+def test_a_sample_is_read_in_the_order_and_scale_of_the_chip(board_with: Callable[..., Flight]) -> None:
+    second, st = board_with(0x47), board_with(0x70, 0x0F)
+    for flight, address, layout in ((second, 0x1D, ">B7h"), (st, 0x20, "<B7h")):
+        assert flight.edge()
+        request = flight.sketch.uc.mem_read(flight.stream(3, "SM0AR"), TRANSFER_BYTES)
+        assert request == bytes([address | READ]) + bytes(TRANSFER_BYTES - 1)
+        words = (-7, 1, 2, 2048, 100, -32768, 25)  # temperature, then accelerometer and gyro, or gyro first
+        flight.sketch.uc.mem_write(flight.stream(2, "SM0AR"), struct.pack(layout, 0, *words))
+        flight.end_read()
+        flight.take_sample()
+    assert second.samples == [((100, -32768, 25), (1, 2, 2048), -7, 1)]
+    assert st.samples == [((1, 2, 2349), (100, -32768, 25), -7, 1)]  # 2048 * 1.14688 = 2348.8
+
+
+@pytest.mark.parametrize(
+    ("counts", "told"),
+    [
+        ((28570, -28570, 3), (32766, -32766, 3)),
+        ((28571, -28571, 0), (32767, -32768, 0)),
+        ((9, -9, -32768), (10, -10, -32768)),
+    ],
+)
+def test_a_coarse_chip_saturates_at_the_end_of_the_common_range(
+    counts: tuple[int, int, int], told: tuple[int, int, int], board_with: Callable[..., Flight]
+) -> None:
+    flight = board_with(0x75, 0x0F)
+    assert flight.edge()
+    flight.sketch.uc.mem_write(flight.stream(2, "SM0AR"), struct.pack("<B7h", 0, 0, *counts, 0, 0, 0))
+    flight.end_read()
+    flight.take_sample()
+    assert flight.counts == [told]
 
 
 def test_a_chip_that_does_not_keep_a_setting_is_not_flown_when_configured(
@@ -197,13 +273,10 @@ def test_counts_reach_the_core_and_a_stop_frame_the_motors_when_a_sample_is_read
     flight.finish_read((1, -2, -32768))
     flight.take_sample()
     assert flight.counts == [(1, -2, -32768)]
-    assert flight.frames() == [[ZERO] * 16 + [0, 0]] * 4
-    assert flight.stream(1, "SCR") & 1 and flight.stream(1, "SNDTR") == 18 * 4
-    assert flight.stream(1, "SPAR") == 0x4001044C  # TIM8 DMAR
-    assert flight.sketch.field("TIM_DIER", "UDE", "TIM8") == 1
-    assert flight.sketch.field("TIM_DCR", "DBA", "TIM8") * 4 == 0x34  # CCR1
-    assert flight.sketch.field("TIM_DCR", "DBL", "TIM8") == 3  # four transfers
-    assert flight.sketch.sins == []
+    assert flight.frames() == [[ZERO] * BITS] * 4
+    assert flight.stream(6, "SCR") & 1 and flight.stream(6, "SNDTR") == FRAME_WORDS
+    assert flight.stream(6, "SPAR") == 0x40020818  # GPIOC BSRR
+    assert flight.sketch.peek(0x4001000C) == 1 << 11, "TIM1's third channel asks"
 
 
 def test_all_that_the_chip_says_reaches_the_core_when_a_sample_is_read(flight: Flight) -> None:
@@ -247,7 +320,7 @@ def test_silence_is_told_when_there_never_was_a_chip(board_with: Callable[[int],
 
 def test_tick_and_sample_cannot_interrupt_each_other_when_set_up(flight: Flight) -> None:
     sample = flight.sketch.peek(0xE000E400 + 4 * (58 // 4)) >> 8 * (58 % 4) & 0xFF
-    assert flight.sketch.field("SCB_SHPR3", "PRI_15") == sample == 0x20
+    assert flight.sketch.field("SCB_SHPR3", "PRI_15") == sample == 0x30
 
 
 def test_a_read_not_yet_taken_is_left_alone_when_the_control_path_is_late(flight: Flight) -> None:

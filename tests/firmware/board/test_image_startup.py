@@ -10,9 +10,11 @@ from elftools.elf.elffile import ELFFile
 from unicorn.arm_const import UC_ARM_REG_CONTROL, UC_ARM_REG_R0, UC_ARM_REG_SP
 
 from neuroflight.sim.board.registers.core_registers import Register
+from neuroflight.toolchain.boards.description import BOARD_BYTES, unpack
 from neuroflight.toolchain.contract import DTCM, FLASH_BANK_A, SRAM2
 
 MakeSketch = Callable[..., Any]
+GPIOB_MODER = 0x40020400
 DELAY_BYTES = 64  # time_delay_ms is shorter
 STEPS_TO_STOP = 200_000  # start-up and the longest time-out take a third of it
 
@@ -92,13 +94,10 @@ def test_the_board_serves_without_a_gyro_when_nothing_answers(sketch: Any, symbo
     sketch.run(symbols["msp_lines_serve"])
     assert sketch.sins == []
     assert sketch.field("EXTI_IMR", "IM3") == 0
-    # Motors: PC6..PC9 on AF3, the timer's outputs on, all compare values 0, no frame.
-    assert sketch.peek(0x40020800) >> 12 & 0xFF == 0b10101010
-    assert sketch.peek(0x40020820) >> 24 == 0x33 and sketch.peek(0x40020824) & 0xFF == 0x33
-    assert sketch.field("TIM_BDTR", "MOE", "TIM8") == 1
-    assert sketch.field("TIM_CR1", "CEN", "TIM8") == 1
-    assert [sketch.peek(0x40010434 + 4 * i) for i in range(4)] == [0, 0, 0, 0]
-    assert sketch.peek(0x40026428) & 1 == 0
+    # Motors: PC6..PC9 are outputs, the timer runs and asks for nothing, no frame.
+    assert sketch.peek(0x40020800) >> 12 & 0xFF == 0b01010101
+    assert sketch.field("TIM_CR1", "CEN", "TIM1") == 1 and sketch.peek(0x4001000C) == 0
+    assert sketch.peek(0x400264A0) & 1 == 0
     # Baud rates: APB2 / 938 = 115139, APB1 / 540 = 100000.
     assert (sketch.peek(0x4001100C), sketch.peek(0x4000440C)) == (938, 540)
 
@@ -180,3 +179,58 @@ def test_the_boot_part_enters_the_rom_when_the_bank_is_erased(sketch: Any, symbo
     sketch.uc.mem_write(FLASH_BANK_A.address, b"\xff" * FLASH_BANK_A.size)
     sketch.run(symbols["boot_enter_rom"])
     assert symbols["reset_handler"] & ~1 not in sketch.seen
+
+
+def written(sketch: Any) -> list[str]:
+    """Registers that are written from now on."""
+    names: list[str] = []
+    sketch.on_write = lambda register, value: names.append(register.name)
+    return names
+
+
+@pytest.mark.parametrize("section", [".board", ".boot_board"])
+@pytest.mark.parametrize(
+    "spoilt", [b"\xff" * BOARD_BYTES, bytes(BOARD_BYTES), b"NFBD\xff"], ids=["erased", "zeros", "layout"]
+)
+def test_nothing_is_started_when_the_board_is_not_described(
+    section: str, spoilt: bytes, sketch: Any, elf: ELFFile, symbols: dict[str, int]
+) -> None:
+    found = elf.get_section_by_name(section)
+    assert found is not None
+    sketch.uc.mem_write(found["sh_addr"], spoilt)
+    names = written(sketch)
+    sketch.run(symbols["boot_enter_rom"])
+    assert symbols["reset_handler"] & ~1 not in sketch.seen
+    # Without an image the way into the ROM is open; its line is a pin of a board that is known.
+    assert bool([name for name in names if name.startswith("GPIO")]) is (section == ".board")
+
+
+@pytest.mark.parametrize("described", [True, False])
+def test_the_boot_part_lights_the_led_alone_and_only_where_it_knows_the_board(
+    described: bool, sketch: Any, elf: ELFFile, symbols: dict[str, int]
+) -> None:
+    if not described:
+        found = elf.get_section_by_name(".boot_board")
+        assert found is not None
+        sketch.uc.mem_write(found["sh_addr"], b"\xff" * BOARD_BYTES)
+    names = written(sketch)
+    sketch.uc.reg_write(UC_ARM_REG_SP, symbols["stack_top"])
+    sketch.uc.emu_start(symbols["boot_fault"] | 1, 0xFFFFFFFF, count=300)
+    assert bool(names) is described
+    assert sketch.sins == []
+    if described:
+        assert sketch.peek(GPIOB_MODER) == 0x280 | 1 << 18  # as after reset, but that PB9 is an output
+
+
+def test_no_motor_turns_when_the_board_has_too_few(
+    sketch: Any, elf: ELFFile, symbols: dict[str, int]
+) -> None:
+    found = elf.get_section_by_name(".board")
+    assert found is not None
+    told = unpack(found.data()[:BOARD_BYTES])
+    at = found.data().index(bytes(told["motor_pins"])) + len(told["motor_pins"])
+    sketch.uc.mem_write(found["sh_addr"] + at, bytes([2]))
+    sketch.run_for(STEPS_TO_STOP)
+    assert symbols["stop"] & ~1 in sketch.seen
+    assert symbols["gyro_start"] & ~1 not in sketch.seen
+    assert sketch.sins == []

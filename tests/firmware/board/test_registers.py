@@ -19,7 +19,7 @@ from tests.firmware.board.registers import registers_in_use
 ROOT = Path(__file__).resolve().parents[3]
 HEADER = ROOT / "firmware" / "hal" / "stm32f7" / "core" / "registers.h"
 HELPERS = {"STM32F7_REGISTERS_H", "REGISTER", "BIT", "BITS", "FIELD", "VALUE"}
-INSTANCE = re.compile(r"(GPIO[A-Z]|DMA\d|TIM\d|SPI\d|USART\d)")
+INSTANCE = re.compile(r"(GPIO[A-Z]|DMA\d|TIM\d|SPI\d|USART\d|UART\d)")
 
 Evaluate = Callable[[Iterable[str]], dict[str, int]]
 

@@ -56,7 +56,8 @@ class Flight:
     ) -> list[float] | None:
         """Outputs, None if they are refused."""
         kept = self.core.new("float[3]", setpoint), self.core.new("float[3]", rate)
-        given = self.core.new("struct control_input *", (*kept, throttle, pid))
+        given = self.core.new("struct control_input *", (*kept, throttle))
+        given.pid_wanted = pid
         return list(self._out) if self.lib.control_step(self.self, given, self._out) else None
 
     @property

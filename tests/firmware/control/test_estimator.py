@@ -17,12 +17,16 @@ MODEL = {
 STILL = [0.0] * 3
 
 
+MEASURED = [600.0, 610.0, 620.0, 630.0]  # rad/s
+
+
 class Rotors:
     """An estimator of four motors at rest."""
 
     def __init__(self, core: Any) -> None:
         self.lib, self.self = core.lib, core.new("struct estimator *")
         self.lib.estimator_init(self.self, core.new("struct nf_policy_blob_header *", MODEL))
+        self.silent = 0  # bit field of motors
         self.reset()
 
     def reset(self) -> None:
@@ -32,7 +36,7 @@ class Rotors:
         self, command: float, *, standing: bool = False, first: bool = False, held: bool = False
     ) -> float:
         """A control step that ends with this command; the speed [rad/s] of the first rotor in it."""
-        self.lib.estimator_advance(self.self)
+        self.lib.estimator_advance(self.self, MEASURED, self.silent)
         self.lib.estimator_observe(self.self, STILL, STILL, 0.0, first, held)
         self.lib.estimator_command(self.self, [command] * 4, standing)
         return float(self.self.speed[0])
@@ -46,6 +50,18 @@ def rotors(scripted: Any) -> Rotors:
 def test_a_rotor_follows_its_command_after_the_delay(rotors: Rotors) -> None:
     told = [rotors.step(0.8) for _ in range(DELAY + 3)]
     assert told == [50.0, 75.0, 87.5, 493.75, 696.875]
+
+
+def test_a_rotor_is_the_measured_one_where_that_is_observed_and_its_esc_tells(rotors: Rotors) -> None:
+    assert rotors.step(0.8) == 50.0, "not observed: the model's"
+    rotors.self.measures = True
+    assert rotors.step(0.8) == MEASURED[0]
+    assert list(rotors.self.gained) == [MEASURED[0] - 50.0, *(speed - 50.0 for speed in MEASURED[1:])]
+    rotors.silent = 1
+    for _ in range(3):
+        rotors.step(0.8)
+    assert rotors.self.speed[0] not in (MEASURED[0], 50.0)
+    assert list(rotors.self.speed)[1:] == MEASURED[1:]
 
 
 def test_motors_that_stand_are_commanded_nothing_whatever_the_controller_answers(rotors: Rotors) -> None:

@@ -63,12 +63,12 @@ class Observation:
         return cls(core, codes, observation_count(terms, motors), ages, gains, motors, rate_hz)
 
     def step(self, rate: Array, setpoint: Array, action: Array, throttle: float, *more: Array) -> Array:
-        """The next observation. more: last motors, and of the estimator rotors, rate and its error."""
+        """The next observation. more: rotors' speeds, last motors, the estimator's outputs."""
         before, after = (
             [self.core.new("float[]", values.tolist()) for values in part]
             for part in ((rate, setpoint, action), more)
         )
-        missing = [self.core.new("float[]", 8) for _ in range(4 - len(more))]
+        missing = [self.core.new("float[]", 8) for _ in range(5 - len(more))]
         given = self.core.new("struct observation_input *", (*before, throttle, *after, *missing))
         self.lib.observation_step(self.self, given, self._out)
         return np.array(list(self._out)[: self._width])
@@ -82,6 +82,7 @@ def flight(steps: int, motors: int, scale: float) -> tuple[Array, ...]:
         rng.normal(0, scale, (steps, 3)),
         rng.random((steps, motors)),
         rng.random(steps),
+        rng.random((steps, motors)) * 3000.0,
         rng.random((steps, motors)) - 0.5,
         rng.normal(0, 100.0 * scale, (steps, motors)),
         rng.normal(0, scale, (steps, 3)),
@@ -92,7 +93,7 @@ def flight(steps: int, motors: int, scale: float) -> tuple[Array, ...]:
 
 def defined(rate: Array, setpoint: Array, action: Array, throttle: Array, *more: Array) -> dict[str, Array]:
     """Each block at each step, as the contract's words say."""
-    motors, rotors, estimate, estimate_error = more
+    speeds, motors, rotors, estimate, estimate_error = more
     error = setpoint - rate
     return {
         "rate": rate,
@@ -101,10 +102,12 @@ def defined(rate: Array, setpoint: Array, action: Array, throttle: Array, *more:
         "rate_error_integral": np.cumsum(error * PERIOD_S, axis=0),
         "previous_action": action,
         "throttle": throttle[:, None],
+        "rotor_speed": speeds,
         "previous_motors": motors,
         "rotor_estimate": rotors,
         "rate_estimate": estimate,
         "rate_estimate_error": estimate_error,
+        "rotor_measured": rotors,  # of the estimator too, which then holds the measured ones
     }
 
 
@@ -193,9 +196,11 @@ def test_c_gives_the_twins_bits_when_terms_are_random(scripted: Any, seed: int) 
             compiled.lib.observation_reset(compiled.self)
             observer.reset(np.arange(1))
             last[:] = 0.0
-        rate, setpoint, action, throttle = (np.float32(values).reshape(-1) for values in row[:4])
-        expected = observer.observe(slice(None), setpoint[None], rate[None], action[None], throttle)
-        given = np.float32(compiled.step(*row[:4], last))
+        rate, setpoint, action, throttle, speed = (np.float32(values).reshape(-1) for values in row[:5])
+        expected = observer.observe(
+            slice(None), setpoint[None], rate[None], action[None], throttle, rotor_speed=speed[None]
+        )
+        given = np.float32(compiled.step(*row[:5], last))
         fractions = rng.random(motors).astype(np.float32)
         observer.commanded(slice(None), fractions[None], throttle)
         last = (fractions - throttle).astype(float)
@@ -219,7 +224,7 @@ def test_the_past_is_forgotten_when_it_is_reset(scripted: Any, text: str) -> Non
 # --- Refusals ---------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("codes", "width"),
-    [([0], 3), ([7], 4), ([8], 3), ([9], 3), ([13], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)],
+    [([0], 3), ([7], 3), ([8], 3), ([9], 3), ([13], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)],
 )
 def test_init_refuses_when_a_block_is_unknown_or_the_width_differs(
     scripted: Any,

@@ -92,13 +92,14 @@ static void world_check_motors(struct world *w, const uint16_t dshot[], size_t c
 	PROMISE(!(w->resets && w->firmware.status.trace.armed));
 }
 
-static void world_motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
+static bool world_motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
 {
 	struct world *w = context;
 
 	world_check_motors(w, dshot, count, telemetry);
 	w->board.motor_count = count;
 	memcpy(w->board.dshot, dshot, count * sizeof dshot[0]);
+	return true;
 }
 
 static bool world_reset(void *context, enum nf_reboot kind)

@@ -16,7 +16,7 @@ from neuroflight.flash.link import layouts
 from neuroflight.flash.link.client import Client, RefusedError
 from neuroflight.flash.link.transport import open_transport
 from neuroflight.sim.aircraft.model import load_aircraft
-from neuroflight.toolchain.contract import Direction, Msp, layout_of
+from neuroflight.toolchain.contract import SIM_AMPS_SCALE, SIM_VOLTS_SCALE, Direction, Msp, layout_of
 from tests.firmware.host.app import GETS, App, connected, stored
 
 Start = Callable[..., Any]
@@ -127,6 +127,17 @@ def test_tabs_show_the_settings_when_these_are_not_the_defaults(app: App) -> Non
     assert [port["functions"] for port in app.get(4105)["ports"]] == [1, 64, 1, 1]
     assert [row["output"] for row in app.get(12289)["outputs"]][:2] == [1, 0]
     assert (app.get(38)["yaw"], app.get(126)["gyro_align"]) == (90, 3)
+
+
+def test_the_board_s_scales_are_told_and_stay_the_board_s_when_they_are_saved(app: App) -> None:
+    before = app.settings()
+    meter = app.get(56)
+    assert meter["scale"] / (meter["divider"] * meter["multiplier"]) == SIM_VOLTS_SCALE
+    assert app.get(40)["scale"] == round(SIM_AMPS_SCALE * 10)
+    app.ask(57, app.payload(57))
+    app.ask(41, app.payload(41))
+    assert app.settings() == before
+    assert before["battery_scale"] == before["current_scale"] == 0
 
 
 UNITS = {

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuroflight.toolchain.contract import Alignment
+
 SBUS, CRSF, MSP = range(3)  # choices of the setting receiver_protocol
 
 
@@ -54,7 +56,7 @@ def test_rates_are_refused_when_one_is_nan(scripted: Any, axis: int) -> None:
     assert counts_of(scripted, rates) is None
 
 
-@pytest.mark.parametrize("alignment", range(4))
+@pytest.mark.parametrize("alignment", Alignment)
 def test_the_core_reads_the_true_body_rates_back_when_the_chip_is_turned(
     scripted: Any, alignment: int
 ) -> None:

@@ -11,7 +11,17 @@ from neuroflight.toolchain.contract import ARMING_COUNTS, SETTINGS, ArmingReason
 
 SLOT_MS = 50
 NAMES = (
-    *("FAULT", "CRASHED", "FIND_ME", "NOT_ARMING", "RECEIVER_LOST", "TOOK_OVER", "BATTERY_LOW", "FAULT_TOLD"),
+    *(
+        "FAULT",
+        "CRASHED",
+        "FIND_ME",
+        "NOT_ARMING",
+        "RECEIVER_LOST",
+        "TOOK_OVER",
+        "BATTERY_LOW",
+        "MOTOR",
+        "FAULT_TOLD",
+    ),
     *("POLICY_REFUSED", "BATTERY_WARN", "CALIBRATING", "ARMED", "DISARMED"),
 )
 SILENT, DARK = {"FAULT", "CALIBRATING"}, {"FAULT_TOLD", "BATTERY_WARN"}
@@ -38,7 +48,7 @@ class Alert:
 
     def step(self, ms: int, *names: str, flashes: int = 0, count: int = 2) -> tuple[bool, bool]:
         conditions = sum(1 << getattr(self.lib, f"ALERT_{name}") for name in names)
-        counts = self.core.new("struct alert_counts *", (flashes, count))
+        counts = self.core.new("struct alert_counts *", (flashes, count, count))
         state = self.lib.alert_step(self.self, conditions, counts, ms & 0xFFFFFFFF)
         return state.beeper, state.led
 
@@ -131,6 +141,15 @@ def test_the_count_begins_anew_when_another_reason_is_the_most_urgent(alert: Ale
     second, light = alert.play("NOT_ARMING", count=2, start=33 * SLOT_MS, slots=100)
     assert first.startswith(BUZZ) and second.startswith(BUZZ)
     assert second == light == Alert(alert.core).play("NOT_ARMING", count=2, slots=100)[0]
+
+
+@pytest.mark.parametrize("number", range(1, 9))
+def test_long_beeps_and_flashes_count_the_number_of_a_motor(alert: Alert, number: int) -> None:
+    beeper, led = alert.play("MOTOR", "ARMED", count=number, slots=900)
+    assert beeper == led
+    counts = [text.count("#" * 9) for text in beeper.strip(".").split("." * 24) if text.strip(".")]
+    assert set(counts[:-1]) == {number} and len(counts) > 3
+    assert {len(list(run)) for value, run in groupby(beeper.rstrip("#")) if value == "#"} == {9}
 
 
 @pytest.mark.parametrize("reasons", [(), *((reason,) for reason in ArmingReason), tuple(ArmingReason)])

@@ -12,7 +12,7 @@ from neuroflight.sim.control.battery_voltage import BatteryVoltage
 
 UNKNOWN, GOOD, WARN, LOW = range(4)
 RATE_HZ = 100
-SCALE = 11.0  # of the divider, as set by default
+SCALE = 11.0  # of the divider, the board's
 MV_PER_A = 17.9
 
 
@@ -26,7 +26,8 @@ class Battery:
         for name, value in settings.items():
             setattr(self.settings, name, value)
         self.struct = core.new("struct battery *")
-        self._lib.battery_init(self.struct, self.settings)
+        self._board = core.new("struct board_identity *", {"volts_scale": SCALE, "amps_scale": MV_PER_A})
+        self._lib.battery_init(self.struct, self.settings, self._board)
 
     def run(self, volts: float, seconds: float, amps: float = 0.0, *, valid: bool = True) -> int:
         """Returns the level after so long."""
@@ -224,3 +225,13 @@ def test_scales_are_those_set_when_the_sensors_differ(make: Make) -> None:
     assert battery.struct.volts == pytest.approx(16.0, abs=0.05)
     assert battery.struct.amps == pytest.approx(10.0, rel=0.01)
     assert battery.cells == 4
+
+
+@pytest.mark.parametrize("scaled", ["battery_scale", "current_scale"])
+def test_the_board_s_scale_counts_where_the_settings_have_none(make: Make, scaled: str) -> None:
+    own = {"battery_scale": 22.0, "current_scale": 35.8, scaled: 0.0}
+    battery = make(**own)
+    battery.run(8.0, 1, 20.0)
+    halved = scaled == "battery_scale"
+    assert battery.struct.volts == pytest.approx(8.0 if halved else 16.0, abs=0.05)
+    assert battery.struct.amps == pytest.approx(10.0 if halved else 20.0, rel=0.01)

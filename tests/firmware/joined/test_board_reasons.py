@@ -72,7 +72,8 @@ class Board:
             change.index, change.value.as_uint32_t = core.lib.settings_find(name.encode()), value
         self.background = core.new("struct background *")
         info = {
-            "hal": self.hal, "identity": {"target": self.target}, "changes": self.change,
+            "hal": self.hal, "changes": self.change,
+            "identity": {"target": self.target, "volts_scale": 11.0, "amps_scale": 17.9},
             "change_count": len(settings), "gyro_rate_hz": GYRO_HZ, "cycles_hz": CYCLES_HZ, **board,
         }  # fmt: skip
         parts = {"firmware": self.fw, "weights": ffi.cast("float *", self.weights), "stats": self.stats}

@@ -13,6 +13,7 @@ from neuroflight.toolchain.contract import (
     CHANNEL_YAW,
     GYRO_BAD_MS,
     RECEIVER_LOST_MS,
+    Alignment,
     ArmingReason,
     DshotCommand,
     FlightState,
@@ -39,7 +40,7 @@ def test_init_refuses_when_the_gyro_rate_is_unknown(bench: Make, scripted: Any, 
 
 
 def test_init_refuses_when_the_alignment_is_wrong(bench: Make, scripted: Any) -> None:
-    bench(1000, alignment=4, expect=scripted.lib.NF_ERR_ALIGNMENT)
+    bench(1000, alignment=len(Alignment), expect=scripted.lib.NF_ERR_ALIGNMENT)
 
 
 def test_outputs_follow_mixer_and_dshot_when_armed(bench: Make, scripted: Any) -> None:

@@ -77,6 +77,28 @@ def test_a_setting_is_told_often_enough_when_asked_for(commander: Commander, com
     assert after == ((STOPPED, False), 8 * (35 if command == DshotCommand.SAVE else 1))
 
 
+@pytest.mark.parametrize("every", [2, 3])
+@pytest.mark.parametrize("command", [1, DshotCommand.SAVE])
+def test_as_many_frames_are_sent_when_the_wire_is_busy_at_some_samples(
+    commander: Commander, command: int, every: int
+) -> None:
+    """With answers on the wire each second or third frame is sent."""
+    assert commander.ask(command) == Refusal.NONE
+    sent = []
+    for sample in range(20_000):
+        if not commander.busy():
+            break
+        values, telemetry = commander.step()
+        if sample % every == 0:
+            sent.append((values, telemetry))
+        elif telemetry:
+            commander.lib.dshot_command_unsent(commander.self)
+    assert not commander.busy()
+    told = [frame for frame in sent if frame == ([command] * 4, True)]
+    assert len(told) == (1 if command in BEACONS else 10)
+    assert all(frame in (([command] * 4, True), (STOPPED, False)) for frame in sent)
+
+
 @pytest.mark.parametrize("motor", range(4))
 def test_one_motor_is_told_and_the_others_stand_when_it_is_named(commander: Commander, motor: int) -> None:
     assert commander.ask(DshotCommand.DIRECTION_REVERSED, motor) == Refusal.NONE

@@ -6,7 +6,8 @@ the extended telemetry specification): 16 bits, a group of five for each four, w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -159,3 +160,76 @@ def test_groups_that_stand_for_no_nibble_are_refused(scripted: Any) -> None:
     assert np.count_nonzero(got != ESC_DAMAGED) == pytest.approx(20_000 / 256, rel=0.3), (
         "1 of 256 passes both"
     )
+
+
+# --- Noise: how often a wrong word is taken -----------------------------------------------------------
+# A checksum of 4 bits cannot notice all. It does notice every answer of which one nibble alone is wrong. Each
+# bound is two to three times what ten million answers (edges that jitter) or 230,000 (the others) have shown.
+ALL_LEVELS = np.array([[1, *levels(word), 1] for word in range(WORDS)], bool)
+Spoil = Callable[[np.random.Generator, NDArray[np.bool_]], NDArray[np.bool_]]
+
+
+def answers(rng: np.random.Generator, words: NDArray[np.int64], jitter: float = 0.0) -> NDArray[np.bool_]:
+    """Samples of answers, [count, SAMPLES], begun between samples 30 and 80, up to 5 % fast or slow."""
+    count = len(words)
+    start, clock = rng.uniform(30, 80, (count, 1)), rng.uniform(0.95, 1.05, (count, 1))
+    edges = start + 3.0 * clock * np.arange(BITS + 1) + rng.normal(0.0, jitter, (count, BITS + 1))
+    changed = np.zeros((count, SAMPLES), np.uint8)
+    turns = np.bitwise_and(np.diff(ALL_LEVELS[words].astype(np.uint8), axis=1), 1)
+    rows = np.repeat(np.arange(count), BITS + 1)
+    np.bitwise_xor.at(changed, (rows, np.ceil(edges).astype(int).ravel()), turns.ravel())
+    return ~np.bitwise_xor.accumulate(changed, axis=1).astype(bool)
+
+
+def ports_of(core: Any, samples: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    """What is read of each line, 16 on a port; their count is a multiple of 16."""
+    ports = samples.reshape(-1, 16, SAMPLES).astype(np.uint16) << np.arange(16, dtype=np.uint16)[:, None]
+    packed = np.ascontiguousarray(ports.sum(axis=1, dtype=np.uint16))
+    words = np.empty((len(packed), 16), np.uint16)
+    for port, told in zip(packed, words, strict=True):
+        pairs, out = core.ffi.from_buffer("uint32_t[]", port), core.ffi.from_buffer("uint16_t[]", told)
+        core.lib.dshot_telemetry_decode(pairs, SAMPLES // 2, EARLIEST, 0xFFFF, out)
+    return words.ravel()
+
+
+def burst(length: int, rng: np.random.Generator, samples: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Any levels for that many samples somewhere in the answer."""
+    begin, place = rng.integers(25, 150, (len(samples), 1)), np.arange(SAMPLES)
+    hit = (place >= begin) & (place < begin + length)
+    return np.where(hit, rng.random(samples.shape) < 0.5, samples)
+
+
+NOISE: dict[str, tuple[float, Spoil, float]] = {  # jitter [samples], what else, share of wrong words at most
+    "edges that jitter by 0.04 us": (0.1, lambda rng, samples: samples, 0.0),
+    "edges that jitter by 0.1 us": (0.225, lambda rng, samples: samples, 3e-4),
+    "edges that jitter by 0.2 us": (0.45, lambda rng, samples: samples, 1e-2),
+    "1 sample of 500 is wrong": (
+        0.0,
+        lambda rng, samples: samples ^ (rng.random(samples.shape) < 0.002),
+        3e-4,
+    ),
+    "1 sample of 100 is wrong": (
+        0.0,
+        lambda rng, samples: samples ^ (rng.random(samples.shape) < 0.01),
+        4e-4,
+    ),
+    "1.3 us of noise": (0.0, partial(burst, 3), 2e-3),
+    "4 us of noise": (0.0, partial(burst, 9), 2e-3),
+    "nothing but noise": (0.0, lambda rng, samples: rng.random(samples.shape) < 0.5, 0.0),
+}
+
+
+@pytest.mark.parametrize("count", [pytest.param(10_000_000, marks=pytest.mark.slow), 30_000])
+@pytest.mark.parametrize("noise", NOISE)
+def test_few_wrong_words_are_taken_when_lines_are_noisy(scripted: Any, noise: str, count: int) -> None:
+    jitter, spoil, most = NOISE[noise]
+    rng, step = np.random.default_rng(7), 1 << 15
+    right = wrong = seen_ones = 0
+    while seen_ones < count:
+        words = rng.integers(0, WORDS, step)
+        got = ports_of(scripted, spoil(rng, answers(rng, words, jitter)))
+        right += int(np.count_nonzero(got == words))
+        wrong += int(np.count_nonzero((got != words) & (got < WORDS)))
+        seen_ones += step
+    print(f"{noise}: of {seen_ones:,} answers {right / seen_ones:.2%} read, {wrong:,} wrong ones taken")
+    assert wrong <= most * seen_ones + (3 if most else 0)

@@ -17,6 +17,7 @@ from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_POLICY_SLOTS,
     IMAGE_BUILD_BYTES,
+    IMAGE_LAYOUT,
     IMAGE_TAIL_BYTES,
     MSP_IMAGE_CONFIRMED,
     MSP_IMAGE_FITS,
@@ -90,7 +91,7 @@ def test_the_banks_are_told_when_asked_for(server: Server) -> None:
         "version": bytes(4),
         "build": bytes(IMAGE_BUILD_BYTES),
     }
-    assert told(server, Msp.IMAGE_INFO) == {"running": 0, "banks": [nothing, nothing], "layout": 2}
+    assert told(server, Msp.IMAGE_INFO) == {"running": 0, "banks": [nothing, nothing], "layout": IMAGE_LAYOUT}
     put(server, 0, OLD, state(sequence=5, confirmed=True))
     put(server, 1, ONE, b"")
     first: dict[str, Any] = {
@@ -101,7 +102,7 @@ def test_the_banks_are_told_when_asked_for(server: Server) -> None:
         **{"flags": MSP_IMAGE_FITS | MSP_IMAGE_INSTALLED, "starts": 0, "sequence": 0},
         **{"image_bytes": 700, "crc": crc_of(ONE), "version": b"\0\1\0\0", "build": header_of(ONE)[20:28]},
     }
-    assert told(server, Msp.IMAGE_INFO) == {"running": 0, "banks": [first, second], "layout": 2}
+    assert told(server, Msp.IMAGE_INFO) == {"running": 0, "banks": [first, second], "layout": IMAGE_LAYOUT}
     server.core.lib.image_bank_count_start(server.chip.flash, 1)
     server.core.lib.image_bank_reject(server.chip.flash, 1)
     (_, now) = told(server, Msp.IMAGE_INFO)["banks"]

@@ -93,6 +93,7 @@ class Server:
         self.log = LogDevice(self.core)
         self.blackbox = self.core.new("struct blackbox *")
         self._gyro = self.core.new("struct gyro *")
+        self.rotors = self.core.new("struct rotors *")
         self.tasks = self.core.new(f"struct task_stats[{len(Task)}]")
         self._policy, self._weights = self.core.new("struct policy *"), self.core.new("float[2]")
         self._callbacks = {
@@ -126,6 +127,7 @@ class Server:
                 "image": self.image,
                 "blackbox": self.blackbox,
                 "faults": self.faults,
+                "rotors": self.rotors,
                 "tasks": self.tasks,
                 "cycles_hz": 216_000_000,
                 **self._callbacks,

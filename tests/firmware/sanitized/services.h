@@ -18,6 +18,7 @@ static struct image_update image;
 static struct fault_log faults;
 static struct task_stats tasks[TASK_COUNT];
 static struct gyro gyro;
+static struct rotors rotors;
 static struct blackbox blackbox;
 static unsigned long sets, policies; /* of settings, found at a boot; boots that found a policy */
 
@@ -122,6 +123,7 @@ static struct services board_services(void)
 		.image = &image,
 		.faults = &faults,
 		.blackbox = &blackbox,
+		.rotors = &rotors,
 		.tasks = tasks,
 		.record = board_record,
 		.session = board_session,

@@ -17,11 +17,21 @@ from neuroflight.toolchain.contract import (
     GYRO_BAD_MS,
     GYRO_RATES_HZ,
     GYRO_SATURATED_MS,
+    Alignment,
     GyroHealth,
 )
 
 LSB_RAD_S = math.radians(2000) / 32768
-CLOCKWISE_DEG = (0, 90, 180, 270)  # in the order of enum board_alignment
+ALIGNMENTS = list(Alignment)
+
+
+def turn(alignment: Alignment) -> Any:
+    """Rotation of the chip's readings into body axes: half a turn about y if flipped, then clockwise."""
+    angle = -math.radians(90 * (alignment % 4))
+    clockwise = [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
+    return np.round(np.array(clockwise) @ np.diag([-1, 1, -1] if alignment >= 4 else [1, 1, 1]))
+
+
 Gyro = Callable[..., Any]
 
 
@@ -47,20 +57,15 @@ def step(scripted: Any) -> Callable[..., list[float]]:
     return one
 
 
-@pytest.mark.parametrize("alignment", range(4))
+@pytest.mark.parametrize("alignment", ALIGNMENTS)
 def test_rates_match_the_float64_formula_when_counts_are_random(
-    make_gyro: Gyro, step: Callable[..., list[float]], alignment: int
+    make_gyro: Gyro, step: Callable[..., list[float]], alignment: Alignment
 ) -> None:
     gyro = make_gyro(alignment=alignment)
-    # The chip is turned clockwise, so its readings turn by as much into body axes.
-    angle = -math.radians(CLOCKWISE_DEG[alignment])
-    turn = np.array(
-        [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
-    )
     rng = np.random.default_rng(alignment)
     # Half the range: no further apart than a gyro moves in a sample.
     for counts in [(-25000, 25000, -25000), *rng.integers(-25000, 25001, (500, 3))]:
-        expected = np.round(turn) @ np.array(counts, float) * LSB_RAD_S
+        expected = turn(alignment) @ np.array(counts, float) * LSB_RAD_S
         np.testing.assert_allclose(step(gyro, counts), expected, rtol=1.2e-7, atol=0)
 
 
@@ -128,7 +133,7 @@ def test_sums_do_not_overflow_when_counts_are_extreme(
 
 def test_init_refuses_when_the_alignment_is_unknown(scripted: Any) -> None:
     gyro = scripted.new("struct gyro *")
-    assert scripted.lib.gyro_init(gyro, 1000, 4, 0) == scripted.lib.NF_ERR_ALIGNMENT
+    assert scripted.lib.gyro_init(gyro, 1000, len(Alignment), 0) == scripted.lib.NF_ERR_ALIGNMENT
 
 
 # --- What is believed -----------------------------------------------------------------------------
@@ -385,17 +390,15 @@ def test_the_bias_stays_when_a_calibrated_gyro_fails(chip: Callable[..., Chip]) 
 
 
 # --- What else the chip tells ----------------------------------------------------------------------
-@pytest.mark.parametrize("alignment", range(4))
+@pytest.mark.parametrize("alignment", ALIGNMENTS)
 def test_acceleration_is_in_body_axes_when_the_chip_is_turned(
-    scripted: Any, chip: Callable[..., Chip], alignment: int
+    scripted: Any, chip: Callable[..., Chip], alignment: Alignment
 ) -> None:
     c = chip(alignment=alignment)
     c.feed(accel=(100, -2000, 2048))
     out = scripted.new("float[3]")
     scripted.lib.gyro_acceleration(c.struct, out)
-    angle = -math.radians(CLOCKWISE_DEG[alignment])
-    x, y, z = np.array([100, -2000, 2048]) / 2048 * 9.80665
-    expected = [math.cos(angle) * x - math.sin(angle) * y, math.sin(angle) * x + math.cos(angle) * y, z]
+    expected = (turn(alignment) @ np.array([100, -2000, 2048]) / 2048 * 9.80665).tolist()
     assert list(out) == pytest.approx(expected, rel=1e-6)
     c.feed(accel=(7, 7, 7), valid=False)
     scripted.lib.gyro_acceleration(c.struct, out)
@@ -416,6 +419,14 @@ def test_temperature_is_the_data_sheets_when_the_chip_is_known(
         assert told == pytest.approx(15.0, abs=0.01)
     told = scripted.lib.gyro_temperature_c(c.struct, scripted.lib.GYRO_MPU9250)
     assert told == pytest.approx(21.0 - 9.788, abs=0.01)
+    for name, deg_c in (
+        ("MPU6000", 26.918),
+        ("ICM42688P", 0.332),
+        ("LSM6DSV16X", 12.234),
+        ("BMI270", 16.617),
+    ):
+        told = scripted.lib.gyro_temperature_c(c.struct, getattr(scripted.lib, f"GYRO_{name}"))
+        assert told == pytest.approx(deg_c, abs=0.01)
 
 
 # --- The bias of motors that stand ----------------------------------------------------------------

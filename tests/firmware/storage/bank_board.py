@@ -18,7 +18,7 @@ from tests.firmware.images import IDENTITY, LEAST_BYTES, header_of, make_image
 from tests.firmware.storage.test_policy_slots import Slots, like
 
 NAME = b"HOST"
-BOARD = NAME.ljust(16, b"\0")
+BOARD = NAME.ljust(24, b"\0")
 NONE = 2  # as a bank
 CHUNK = 256
 

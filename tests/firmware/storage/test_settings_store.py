@@ -220,7 +220,7 @@ def test_a_set_is_never_flown_with_the_rates_of_another_style_when_loaded(
         ({"map_aux1": 9}, {}, False),
         ({"map_aux1": 7}, {}, False),  # and AUX 4 there as well
         ({"motor2_output": 3}, {}, False),
-        ({"gyro_alignment": 7}, {}, False),
+        ({"gyro_alignment": 9}, {}, False),
         ({"board_yaw_deg": math.nan}, {}, False),
         ({"policy_trial": 2}, {}, False),
         ({"failsafe_delay_ms": 250}, {}, False),  # as older versions took it

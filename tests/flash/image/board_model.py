@@ -31,7 +31,7 @@ BOARD = "MATEKF722"
 BOOT_S = 0.3
 PROOF_S = 2.0
 ERASE_S = 1.0
-HEADER_BYTES = 64  # of the fields
+HEADER_BYTES = 72  # of the fields
 
 
 class Fate(Enum):

@@ -95,8 +95,8 @@ def test_one_line_says_what_is_wrong_when_the_header_does_not_fit(
     path = tmp_path / "wrong.nfi"
     size = struct.pack("<I", len(a) + 4)
     for content, words in (
-        (stamped(a, layout=struct.pack("<H", IMAGE_LAYOUT - 1)), "its layout is 1, older than 2"),
-        (stamped(a, layout=struct.pack("<H", IMAGE_LAYOUT + 1)), "its layout is 3, newer than 2"),
+        (stamped(a, layout=struct.pack("<H", IMAGE_LAYOUT - 1)), "its layout is 2, older than 3"),
+        (stamped(a, layout=struct.pack("<H", IMAGE_LAYOUT + 1)), "its layout is 4, newer than 3"),
         (stamped(a, magic=b"NFIN"), "got no header of a Neuroflight image"),
         (stamped(a, bank=b"\x02"), "bank number 2"),
         (stamped(a, image_bytes=struct.pack("<I", 128 << 10)), "its header tells of 131072 bytes"),

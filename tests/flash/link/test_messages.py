@@ -17,6 +17,7 @@ from neuroflight.flash.link.messages import (
     BatteryState,
     BoardInfo,
     BuildInfo,
+    EscReport,
     PolicyInfo,
     PolicySource,
     RawImu,
@@ -31,6 +32,7 @@ from neuroflight.toolchain.contract import (
     FallbackCause,
     FaultKind,
     FlightState,
+    GyroChip,
     GyroHealth,
     Mix,
     Msp,
@@ -58,7 +60,7 @@ POLICY = (
 BATTERY = b"\x04" + b"\x14\x05" + b"\xa8" + b"\x7b\x00" + b"\x85\xff" + b"\x01" + b"\x8e\x06"
 SAFETY = (
     b"\x06" + b"\x07" + b"\x03" + b"\x02" + b"\x40\x04\x00\x00" + b"\x01\x01\x00" + b"\x57" + b"\x2e\xfb"
-    + b"\x00\x00\x00\x3e" + b"\x02" + b"\x12\x01" + b"\x01"
+    + b"\x00\x00\x00\x3e" + b"\x02" + b"\x12\x01" + b"\x01" + b"\x03"
 )  # fmt: skip
 TASKS = struct.pack("<IB", 216_000_000, 2) + struct.pack("<H5I", 3000, 9, 0, 500, 300, 400) + struct.pack(
     "<H5I", 1000, 3, 1, 16000, 15000, 15500
@@ -81,6 +83,9 @@ PAYLOADS = {
     Msp.UID: b"\x78\x56\x34\x12" + b"\x0d\x0c\x0b\x0a" + b"\x01\x00\x00\x00",
     Msp.RC: struct.pack("<16H", *range(1000, 2600, 100)),
     Msp.MOTOR: struct.pack("<8H", 1000, 1250, 1500, 2000, 0, 0, 0, 0),
+    Msp.MOTOR_TELEMETRY: struct.pack(
+        "<BIHBHHHIHBHHH", 2, 21043, 125, 61, 1625, 1200, 0, 0, 10_000, 0, 0, 0, 0
+    ),
     Msp.RAW_IMU: RAW_IMU,
     Msp.ATTITUDE: struct.pack("<3h", -450, 123, 271),
     Msp.ANALOG: ANALOG,
@@ -139,6 +144,10 @@ def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
         (Msp.NAME, "bench one"),
         (Msp.UID, "123456780a0b0c0d00000001"),
         (Msp.MOTOR, (1000, 1250, 1500, 2000, 0, 0, 0, 0)),
+        (
+            Msp.MOTOR_TELEMETRY,
+            (EscReport(21043, 0.0125, 61, 16.25, 12.0), EscReport(0, 1.0, 0, 0.0, 0.0)),
+        ),
         (Msp.RC, tuple(range(1000, 2600, 100))),
         (Msp.RAW_IMU, RawImu((1, -2, 2048), (164, -32768, 32767), (7, 8, -9))),
         (Msp.ATTITUDE, Attitude(-45.0, 12.3, 271.0)),
@@ -170,6 +179,7 @@ def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
                 idle=0.125,
                 refused_cause=FallbackCause.POLICY_OUTPUT,
                 gyro_identity=0x12,
+                gyro=GyroChip.ICM20602,
                 brown_out_level=0,
                 airborne=True,
             ),
@@ -258,8 +268,8 @@ def test_text_is_safe_to_print_when_it_holds_control_bytes() -> None:
 # --- yamspy reads the same bytes -------------------------------------------------------------
 @pytest.fixture
 def heard(yamspy_peer: MSPy) -> MSPy:
-    """yamspy after it has read every reply of PAYLOADS that the ecosystem knows."""
-    for command in sorted(command for command in PAYLOADS if command < 255):
+    """yamspy after it has read every reply of PAYLOADS that it knows."""
+    for command in sorted({command for command in PAYLOADS if command < 255} - {Msp.MOTOR_TELEMETRY}):
         yamspy_peer.conn.incoming = encode(Message(Version.V1, Direction.REPLY, command, PAYLOADS[command]))
         assert yamspy_peer.process_recv_data(yamspy_peer.receive_msg()) >= 0
     return yamspy_peer

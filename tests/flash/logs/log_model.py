@@ -94,6 +94,8 @@ class LogBoard(BoardModel):
         if self.later(1 << 40):
             return b"\x01"
         self.logs.clear()
+        if self.log_error is LogError.FOREIGN:
+            self.log_state, self.log_error = LogState.READY, LogError.NONE
         return b"\x00"
 
 

@@ -34,6 +34,7 @@ SAFE = Safety(
     idle=0.2,
     refused_cause=FallbackCause.NONE,
     gyro_identity=None,
+    gyro=None,
     brown_out_level=None,
     airborne=False,
 )

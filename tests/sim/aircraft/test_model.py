@@ -33,9 +33,9 @@ from neuroflight.sim.aircraft.model import (
 )
 from neuroflight.sim.aircraft.pid_write import write_pid
 from neuroflight.sim.design.airworthiness import Level, examine
-from neuroflight.sim.strict_toml import StrictTable, Value
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.policy.model import AIRCRAFT_NAME
+from neuroflight.toolchain.strict_toml import StrictTable, Value
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 DOCS = Path(__file__).parents[3] / "docs"

@@ -10,7 +10,7 @@ import pytest
 from neuroflight.sim.board.board import Hardware
 from neuroflight.sim.board.core.context import BoardError
 from neuroflight.sim.board.core.engine import Engine
-from neuroflight.sim.board.devices.gyro_chip import MPU6500
+from neuroflight.sim.board.devices.gyro_mpu import MPU6500
 from neuroflight.sim.board.native.library import native_library
 from neuroflight.sim.board.registers.bus import load_table
 from tests.sim.board.programs import boot, compile_program  # noqa: F401 - fixtures

@@ -13,7 +13,7 @@ import pytest
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import BoardError
 from neuroflight.sim.board.debug.snapshot import restore_snapshot, take_snapshot
-from neuroflight.sim.board.devices.gyro_chip import MPU6500
+from neuroflight.sim.board.devices.gyro_mpu import MPU6500
 from neuroflight.sim.board.peripherals.usart import SBUS
 
 BOOT_S = 0.0072

@@ -44,7 +44,7 @@ def showing(observation: str, columns: list[int]) -> PolicyModel:
 
 def test_rotor_speed_and_gravity_are_those_it_was_given_when_it_observes_them() -> None:
     controller = PolicyController(showing("rotor_speed,gravity", [0, 3, 5, 6]), 2)
-    assert controller.senses
+    assert controller.senses == {"rotor_speed", "gravity"}
     speed = np.array([[0.25, 0, 0, 0.5], [0.125, 0, 0, 0.75]])
     upside_down = np.diag([1.0, -1.0, -1.0])
     on_its_left = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # its y axis points down

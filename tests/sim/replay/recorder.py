@@ -40,6 +40,7 @@ class Step:
     silences: int = 0
     missed: bool = False
     edges: Any = None
+    rotors: Sequence[int] = ()
     answer: tuple[Any, ...] = ()
 
 
@@ -93,6 +94,7 @@ class Recorder(ReferencePort):
         trace, edges = values["status"]["trace"], values["edges"]
         step.missed = self.missed
         step.edges = (int(edges["forbidden"]), float(edges["voltage_gain"]))
+        step.rotors = values["rotors"]["words"].copy()
         step.answer = tuple(trace[name].copy() for name in ("dshot", "gyro", "setpoint", "throttle"))
         self.steps.append(step)
         self._now = Step(accel=step.accel)
@@ -148,6 +150,7 @@ def _flight(library: Path, port: Recorder, settings: Mapping[str, float]) -> Fli
         gain=np.array([step.edges[1] for step in steps], np.float32),
         received=np.array([len(step.received) for step in steps]),
         receiver=receiver,
+        rotors=np.array([step.rotors for step in steps], np.uint16),
     )
     flight = Flight(
         path=Path("recorded"),

@@ -16,8 +16,8 @@ import pytest
 from neuroflight.toolchain.codegen.compiler import compile_policy
 from neuroflight.toolchain.contract import MOTOR_COUNT_MAX, Mix, image_header
 from neuroflight.toolchain.cortex_m7.llvm_mca import find_pricer
-from neuroflight.toolchain.errors import BuildError, NeuroflightError, PolicyError
-from neuroflight.toolchain.image.build import TARGETS, MakeError, build, check_fit
+from neuroflight.toolchain.errors import BuildError, NeuroflightError, PolicyError, WiringError
+from neuroflight.toolchain.image.build import MakeError, build, check_fit, find_target
 from neuroflight.toolchain.image.elf import read_image
 from neuroflight.toolchain.image.report import MotorFacts, built_motors
 from neuroflight.toolchain.policy.model import read_policy
@@ -75,8 +75,8 @@ def test_build_is_refused_with_the_known_targets_when_the_target_is_unknown(
     tmp_path: Path, policy_file: Path
 ) -> None:
     root = project(tmp_path / "root")
-    message = refused("MATEKF411", policy_file, root, BuildError)
-    assert message == "unknown TARGET 'MATEKF411', known are MATEKF722, HOST"
+    message = refused("MATEKF411", policy_file, root, WiringError)
+    assert message.startswith("unknown board 'MATEKF411', did you mean MATEKF722 or")
 
 
 def test_build_is_refused_with_the_command_when_the_compiler_is_missing(
@@ -91,7 +91,7 @@ def test_build_is_refused_with_the_command_when_the_compiler_is_missing(
 
 
 MISFITS: list[tuple[tuple[int, ...], dict[str, str], str]] = [  # widths, metadata, words
-    ((6, 8, 7), {}, "the policy drives 7 motors, MATEKF722 has 6; train it for an aircraft with no more"),
+    ((6, 8, 9), {}, "the policy drives 9 motors, MATEKF722 has 8; train it for an aircraft with no more"),
     ((6, 8, 4), {"control_rate_hz": "500"}, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
     (
         (6, 8, 4),
@@ -141,17 +141,17 @@ def test_build_is_refused_when_the_policy_does_not_fit(
     assert words in refused("MATEKF722", policy, project(tmp_path / "root"), PolicyError)
 
 
-@pytest.mark.parametrize(("target", "motors"), [("MATEKF722", 6), ("HOST", MOTOR_COUNT_MAX)])
+@pytest.mark.parametrize(("target", "motors"), [("MATEKF722", 8), ("APEXF7", 4), ("HOST", MOTOR_COUNT_MAX)])
 def test_a_target_serves_as_many_motors_as_it_has_outputs(
     kit: Kit, tmp_path: Path, target: str, motors: int
 ) -> None:
     policy = tmp_path / "policy.onnx"
     for count in (4, motors):
         policy.write_bytes(kit.mlp((6, 8, count)).data())
-        check_fit(compile_policy(read_policy(policy)), TARGETS[target])
+        check_fit(compile_policy(read_policy(policy)), find_target(target))
     policy.write_bytes(kit.mlp((6, 8, motors + 1)).data())
     with pytest.raises(PolicyError, match=f"drives {motors + 1} motors, {target} has {motors}"):
-        check_fit(compile_policy(read_policy(policy)), TARGETS[target])
+        check_fit(compile_policy(read_policy(policy)), find_target(target))
 
 
 def test_build_is_refused_when_the_policy_is_truncated(tmp_path: Path, policy_file: Path) -> None:
@@ -167,7 +167,7 @@ def test_report_says_what_was_built_when_it_succeeds(tmp_path: Path, policy_file
     assert written["target"] == "HOST"
     assert written["policy"]["network"] == "6-64-64-4 tanh"
     assert written["predicted_cycles"] is None
-    assert written["predicted_cycles_reason"].startswith("cycles are predicted for the board's")
+    assert written["predicted_cycles_reason"].startswith("cycles are predicted for a board's")
     assert [stage["name"] for stage in written["stages"]] == ["synthesis", "optimization", "compilation"]
     assert "1 files compiled" in written["stages"][2]["did"]
     assert [file["path"] for file in written["files"]] == [
@@ -299,7 +299,7 @@ def test_board_image_and_host_program_are_what_the_targets_promise(
     board_image: Path, host_program: Path
 ) -> None:
     for path, target in ((board_image, "MATEKF722"), (host_program, "HOST")):
-        assert all((path.parent / name).is_file() for name in TARGETS[target].products)
+        assert all((path.parent / name).is_file() for name in find_target(target).products)
         report = json.loads((path.parent / "report.json").read_text())
         assert report["target"] == target
         assert (report["step_instructions"] is None) == (target == "HOST")

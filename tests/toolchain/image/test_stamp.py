@@ -7,9 +7,13 @@ import struct
 import zlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from neuroflight.flash.rom.segments import read_segments
+from neuroflight.toolchain.boards.allocation import allocate
+from neuroflight.toolchain.boards.description import BOARD_BYTES, pack
+from neuroflight.toolchain.boards.table import boards, find_board
 from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_BASE,
@@ -18,10 +22,19 @@ from neuroflight.toolchain.contract import (
     IMAGE_HEADER_FORMAT,
     IMAGE_HEADER_OFFSET,
     IMAGE_MAGIC,
+    IMAGE_TABLE_OFFSET,
+    POLICY_BLOB_FIELDS,
+    image_field_offset,
     policy_header,
+    struct_format,
 )
-from neuroflight.toolchain.errors import BuildError
+from neuroflight.toolchain.errors import BuildError, WiringError
+from neuroflight.toolchain.image.build import BOARD_FAMILY
+from neuroflight.toolchain.image.elf import read_image
 from neuroflight.toolchain.image.stamp import stamp
+
+NAMED = {"board": 24, "build": 8, "crc": 4}  # fields of the header that depend on the board, and their bytes
+TABLE = pack(allocate(find_board("MATEKF722")))
 
 
 def header(image: bytes) -> dict[str, object]:
@@ -46,7 +59,7 @@ def test_an_image_says_its_bank_board_size_and_checksum_when_built(
     told = header(image)
     assert told["magic"] == IMAGE_MAGIC and told["bank"] == bank
     assert told["image_bytes"] == len(image)
-    assert told["board"] == b"MATEKF722".ljust(16, b"\0")
+    assert told["board"] == b"MATEKF722".ljust(24, b"\0")
     crc_at = IMAGE_HEADER_OFFSET + 12
     assert told["crc"] == zlib.crc32(image[:crc_at] + image[crc_at + 4 :])
     _, reset = struct.unpack_from("<II", image)
@@ -76,7 +89,7 @@ def test_the_build_is_another_when_the_policy_alone_is(board_image: Path, tmp_pa
     at = content.find(b"NFPB\x05\0")
     content[at + 600] ^= 1  # a weight
     copy.write_bytes(content)
-    stamp(copy)
+    stamp(copy, TABLE, copy)
     assert _build(copy) != _build(board_image)
 
 
@@ -101,7 +114,7 @@ def test_the_binary_holds_the_same_image_as_the_file_for_the_line(
 
 def test_nothing_changes_when_an_image_is_stamped_again(board_image: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copy(board_image, tmp_path))
-    stamp(copy)
+    stamp(copy, TABLE, copy)
     assert copy.read_bytes() == board_image.read_bytes()
 
 
@@ -109,4 +122,43 @@ def test_it_is_refused_when_nothing_lies_in_a_bank(tmp_path: Path) -> None:
     other = tmp_path / "other.elf"
     other.write_bytes(b"\x7fELF")
     with pytest.raises(BuildError, match="cannot stamp"):
-        stamp(other)
+        stamp(other, TABLE, tmp_path / "stamped.elf")
+
+
+def test_images_of_all_boards_differ_in_what_is_stamped_alone(board_image: Path, tmp_path: Path) -> None:
+    """What is proven of one is proven of all but for the description: the rest is one link."""
+    linked = board_image.parents[1] / BOARD_FAMILY / "make" / "obj" / "bank_a.elf"
+    (boot,) = (part.address for part in read_image(linked).sections if part.name == ".boot_board")
+    bank, slot = FLASH_BANKS[0].address, FLASH_POLICY_SLOTS[0].address
+    policy = policy_header(next(part.data for part in read_segments(board_image) if part.address == slot))
+    assert policy is not None
+    names = [field.name for field in POLICY_BLOB_FIELDS]
+    bound = struct.calcsize(struct_format(POLICY_BLOB_FIELDS[: names.index("build")]))
+    stamped = [(boot, BOARD_BYTES), (bank + IMAGE_TABLE_OFFSET, BOARD_BYTES)]
+    stamped += [(bank + image_field_offset(name), size) for name, size in NAMED.items()]
+    stamped += [
+        (slot + bound, 8),
+        (slot + policy.total_bytes - 4, 4),
+    ]  # of which build the policy is; its CRC
+    may = {at + place for at, size in stamped for place in range(size)}
+    seen: dict[int, bytes] = {}
+    builds = set()
+    for board in boards().values():
+        try:
+            table = pack(allocate(board))
+        except WiringError:
+            continue
+        path = tmp_path / "stamped.elf"
+        stamp(linked, table, path)
+        content = {part.address: part.data for part in read_segments(path)}
+        seen = seen or content
+        assert content.keys() == seen.keys()
+        for address, data in content.items():
+            first = np.frombuffer(seen[address], np.uint8)
+            other = np.flatnonzero(first != np.frombuffer(data, np.uint8)) + address
+            assert {int(at) for at in other} <= may, board.name
+        assert bytes(content[bank][IMAGE_TABLE_OFFSET:][:BOARD_BYTES]) == table
+        told = header(content[bank])
+        assert told["board"] == board.name.encode().ljust(24, b"\0")
+        builds.add(told["build"])
+    assert len(builds) > 150, "each is a build of its own"

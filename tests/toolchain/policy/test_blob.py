@@ -236,7 +236,7 @@ def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
         ("observation_term_count", b"\x21\0\0\0", "33 observation terms are not those of its lists"),
         ("observation_term_count", b"\xff" * 4, "4294967295 observation terms are not"),
         ("observation_term_count", b"\3\0\0\0", "observation block 0 is unknown, known are"),
-        ("observation_blocks", b"\x02\x0d", "observation block 13 is unknown, known are"),
+        ("observation_blocks", b"\x02\x0e", "observation block 14 is unknown, known are"),
         ("observation_blocks", b"\x02\x06", "takes 6 values, but its blocks make 4"),
         ("aircraft", b"n\0f", "aircraft is 'n.x00f', expected at most 32 letters"),
         ("aircraft", b'"; ', "expected at most 32 letters"),

@@ -21,10 +21,9 @@ import numpy as np
 import torch
 
 from neuroflight.sim.aircraft.model import Aircraft
-from neuroflight.sim.control.estimator import model_constants
+from neuroflight.sim.control.estimator import observed_model
 from neuroflight.sim.control.gyro_mean import samples_per_step
 from neuroflight.sim.physics.world import Mount
-from neuroflight.toolchain.contract import needs_model
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.config.pathwise_config import PathwiseConfig
 from neuroflight.training.config.training_config import OBSERVATION_SCALES, TrainingConfig
@@ -198,7 +197,7 @@ def _surroundings(aircraft: Aircraft, config: TrainingConfig, pathwise: Pathwise
         scales=tuple(OBSERVATION_SCALES[term.name] for term in terms),
         mix=config.mixing,
         idle=config.idle,
-        model=model_constants(aircraft, rate_hz) if needs_model(terms) else None,
+        model=observed_model(aircraft, terms, rate_hz),
         shape=Shape((inputs, *config.hidden, motors), config.activation, config.output, config.recurrent),
         of_motors=pathwise.change_of == "motors",
         soft=pathwise.soft,

@@ -11,14 +11,21 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse
 from neuroflight.sim.physics.battery import CELL_VOLTAGE, STATE_OF_CHARGE
+from neuroflight.sim.physics.esc import ELECTRICAL_TURN
 from neuroflight.sim.physics.imu import rotation_by
 from neuroflight.sim.physics.rotor import rotor_geometry
 from neuroflight.toolchain.contract import (
+    ESC_MANTISSA_BITS,
+    ESC_PERIOD_MAX_US,
     GYRO_COUNTS,
     GYRO_FULL_SCALE_DEG_S,
+    MOTOR_POLES_DEFAULT,
+    OBSERVATION_BLOCKS,
     RATE_ERROR_INTEGRAL_LIMIT_RAD,
     Mix,
     ObservationTerm,
+    hears_rotors,
+    measures_rotors,
     needs_model,
 )
 from neuroflight.toolchain.policy.model_constants import ModelConstants
@@ -105,9 +112,14 @@ class Surroundings:
         made.mix = getattr(enums, f"MIX_{self.mix.name}")
         made.idle, made.dt = self.idle, 1.0 / rate_hz
         made.integral_max = RATE_ERROR_INTEGRAL_LIMIT_RAD
+        assert (enums.ESC_BITS, enums.ESC_PERIOD_MAX) == (ESC_MANTISSA_BITS, ESC_PERIOD_MAX_US)
+        made.sees_rotors = hears_rotors(self.terms)
+        made.rotors_late = self.noise and any(self.aircraft.gyro.noise)
+        made.words = self.rounded and made.rotors_late
+        made.rotor_turn = ELECTRICAL_TURN / MOTOR_POLES_DEFAULT
         made.terms = len(self.terms)
         for term, scale, own in zip(self.terms, self.scales, made.term, strict=False):
-            own.block, own.width, own.age = term.block.code, term.count(motors), term.age
+            own.block, own.width, own.age = _code(term), term.count(motors), term.age
             own.gain, own.scale = term.gain(rate_hz), scale
         if needs_model(self.terms):
             self._estimator(made.estimator)
@@ -123,12 +135,19 @@ class Surroundings:
         model = self.model
         assert model is not None
         made.present = True
+        made.measures = measures_rotors(self.terms)
         made.delay = model.delay_steps
         made.speed_curve = list(model.speed_curve)
         for name in ("rise", "fall", "gain_max", "loss_max", "correction"):
             setattr(made, name, getattr(model, name))
         _fill(made.turn, np.array(model.turn))
         _fill(made.reaction, np.array(model.reaction))
+
+
+def _code(term: ObservationTerm) -> int:
+    """Return the block that C takes the term from: the model's rotors are the measured ones, or not."""
+    name = "rotor_estimate" if term.name == "rotor_measured" else term.name
+    return next(block.code for block in OBSERVATION_BLOCKS if block.name == name)
 
 
 def put_aircraft(made: Any, aircraft: Aircraft, dt: float) -> None:  # noqa: ANN401

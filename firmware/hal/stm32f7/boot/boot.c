@@ -5,10 +5,11 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "board.h"
 #include "hal/stm32f7/boot/boot_flash.h"
+#include "hal/stm32f7/core/board.h"
 #include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/kept.h"
+#include "hal/stm32f7/core/led.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/watchdog.h"
 #include "storage/image_bank.h"
@@ -58,12 +59,14 @@ static _Noreturn void boot_enter(uint32_t address)
 
 static void boot_light(void)
 {
-	RCC_AHB1ENR |= BOARD_PORT_CLOCKS;
-	(void)RCC_AHB1ENR;
-	gpio_output(BOARD_LED0, false);
+	if (!board_is_known(&board))
+		return;
+	gpio_start();
+	led_start();
+	led_light(true);
 }
 
-/* A fault before an image took over: LED0 lit for ever. Motor pins are inputs since reset. */
+/* A fault before an image took over: the LED lit for ever. Motor pins are inputs since reset. */
 void boot_fault(void)
 {
 	boot_light();
@@ -118,15 +121,17 @@ static bool boot_timer_over(void)
 
 static bool boot_line_low(void)
 {
-	return (GPIO_IDR(BOARD_MSP_RX.port) >> BOARD_MSP_RX.number & 1u) == 0u;
+	return !gpio_read(pin_of(board.msp.rx), true);
 }
 
 /* Is the MSP line held low? One look tells where it is not. */
 static bool boot_hears_break(void)
 {
-	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOAEN;
-	(void)RCC_AHB1ENR;
-	gpio_input(BOARD_MSP_RX, GPIO_PULL_UP);
+	const struct pin rx = pin_of(board.msp.rx);
+	const uint32_t clocks = RCC_AHB1ENR;
+
+	gpio_start();
+	gpio_input(rx, GPIO_PULL_UP);
 	boot_timer_start(PULL_UP_US);
 	while (!boot_timer_over())
 		;
@@ -137,23 +142,30 @@ static bool boot_hears_break(void)
 			low = boot_line_low();
 	}
 	SYST_CSR = 0;
-	gpio_input(BOARD_MSP_RX, GPIO_FLOATING);
-	RCC_AHB1ENR &= ~RCC_AHB1ENR_GPIOAEN;
+	gpio_input(rx, GPIO_FLOATING);
+	RCC_AHB1ENR = clocks;
 	return low;
 }
 
 /* --- Which bank --------------------------------------------------------------------------------------------- */
+/* An image's own description of the board lies behind its header. */
+static bool boot_is_described(unsigned bank)
+{
+	const uint32_t address = image_bank_places[bank].address + NF_IMAGE_HEADER_OFFSET + NF_IMAGE_HEADER_BYTES;
+
+	return board_is_known((const struct board *)address);
+}
+
 /* Whatever the checksum says, the core is not sent to where no image can be. */
 static bool boot_is_image(unsigned bank)
 {
-	static const char board[NF_IMAGE_BOARD_BYTES] = BOARD_TARGET;
 	const struct nf_image_header header = image_bank_header(&boot_flash, bank);
 	const uint32_t address = image_bank_places[bank].address;
 	const struct head *const head = boot_head(address);
 
-	return image_bank_fits(&header, bank, board) && head->stack > (uint32_t)dtcm_start &&
-	       head->stack <= (uint32_t)dtcm_end && head->stack % 8u == 0u && head->reset > address &&
-	       head->reset < address + NF_FLASH_BANK_A_SIZE && head->reset % 2u == 1u;
+	return board_is_known(&board) && boot_is_described(bank) && image_bank_fits(&header, bank, board.name) &&
+	       head->stack > (uint32_t)dtcm_start && head->stack <= (uint32_t)dtcm_end && head->stack % 8u == 0u &&
+	       head->reset > address && head->reset < address + NF_FLASH_BANK_A_SIZE && head->reset % 2u == 1u;
 }
 
 /* Returns whether there is a confirmed image. It answers MSP, by which it can be asked for the ROM. */
@@ -170,7 +182,8 @@ static bool boot_has_proven(void)
  * where no image has run well yet: a line is low as well where what is plugged in has no power, or is starting. */
 static bool boot_is_broken_into(void)
 {
-	return boot_reset_was(RCC_CSR_PORRSTF) && !kept_armed() && !boot_has_proven() && boot_hears_break();
+	return boot_reset_was(RCC_CSR_PORRSTF) && !kept_armed() && !boot_has_proven() && board_is_known(&board) &&
+	       boot_hears_break();
 }
 
 /* The header has been looked at. */

@@ -13,4 +13,8 @@
 extern const struct board board;
 
 /* Is it a description that this code understands? Else nothing of it may be used. */
-bool board_is_known(const struct board *described);
+static inline bool board_is_known(const struct board *described)
+{
+	return described->magic == NF_BOARD_MAGIC && described->layout == NF_BOARD_LAYOUT &&
+	       described->bytes == sizeof(struct board);
+}

@@ -1,18 +1,18 @@
 #include "hal/stm32f7/core/clock.h"
 
 #include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/time.h"
-#include "targets/MATEKF722/board.h"
 
 /* VCO input 2 MHz (the manual's choice against jitter), VCO 432 MHz, USB clock 432 / 9 = 48 MHz. */
-#define PLL_M (BOARD_HSE_HZ / PLL_INPUT_HZ)
+#define PLL_M (CLOCK_CRYSTAL_HZ / PLL_INPUT_HZ)
 #define PLL_M_INTERNAL (CLOCK_RESET_HZ / PLL_INPUT_HZ)
 #define PLL_INPUT_HZ 2000000u
 #define PLL_N 216u
 #define PLL_P 2u
 #define PLL_Q 9u
-_Static_assert(BOARD_HSE_HZ % PLL_INPUT_HZ == 0u && CLOCK_RESET_HZ % PLL_INPUT_HZ == 0u,
+_Static_assert(CLOCK_CRYSTAL_HZ % PLL_INPUT_HZ == 0u && CLOCK_RESET_HZ % PLL_INPUT_HZ == 0u,
 	       "either makes the VCO's input");
 _Static_assert(PLL_N / PLL_P * PLL_INPUT_HZ == CLOCK_CORE_HZ, "the PLL makes the core clock");
 _Static_assert(PLL_N / PLL_Q * PLL_INPUT_HZ == 48000000u, "USB needs 48 MHz");
@@ -101,9 +101,12 @@ bool clock_start(void)
 
 void clock_peripherals(void)
 {
-	RCC_AHB1ENR |= BOARD_PORT_CLOCKS | RCC_AHB1ENR_DMA1EN | RCC_AHB1ENR_DMA2EN;
-	RCC_APB1ENR |= BOARD_APB1_CLOCKS;
-	RCC_APB2ENR |= BOARD_APB2_CLOCKS | RCC_APB2ENR_ADC1EN | RCC_APB2ENR_SPI1EN | RCC_APB2ENR_SYSCFGEN;
+	gpio_start();
+	RCC_AHB1ENR |= RCC_AHB1ENR_DMA1EN | RCC_AHB1ENR_DMA2EN;
+	RCC_APB1ENR |= RCC_APB1ENR_SPI2EN | RCC_APB1ENR_SPI3EN | RCC_APB1ENR_USART2EN | RCC_APB1ENR_USART3EN |
+		       RCC_APB1ENR_UART4EN | RCC_APB1ENR_UART5EN;
+	RCC_APB2ENR |= RCC_APB2ENR_TIM1EN | RCC_APB2ENR_USART1EN | RCC_APB2ENR_USART6EN | RCC_APB2ENR_ADC1EN |
+		       RCC_APB2ENR_SPI1EN | RCC_APB2ENR_SYSCFGEN;
 	(void)RCC_APB2ENR;
 	barrier();
 }

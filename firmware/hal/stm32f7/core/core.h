@@ -4,12 +4,14 @@
 #include <stdint.h>
 
 /* The whole budget of interrupt priorities (4 bits, 0 is the most urgent). Nothing else interrupts:
- * UARTs receive by circular DMA, motor frames and replies are sent by DMA and polled; so is USB, without DMA.
+ * UARTs receive by circular DMA, motor frames and replies are sent by DMA and polled (but for the end of a frame that ESCs
+ * answer); so is USB, without DMA.
  *
  *   priority             who                        how often      how long
  *   PRIORITY_FAULT       all faults, clock failure  never          to the reset, motors stopped
- *   PRIORITY_GYRO_EDGE   EXTI3, data-ready          8 kHz          < 2 us: starts a read every n-th edge
- *   PRIORITY_SAMPLE      DMA2 stream 2, read done   gyro rate      the control path, < 1 gyro period
+ *   PRIORITY_GYRO_EDGE   EXTI, data-ready           8 kHz          < 2 us: starts a read every n-th edge
+ *   PRIORITY_MOTORS      a DMA stream, frame sent   gyro rate      < 1 us: listens to the answers; motor_telemetry alone
+ *   PRIORITY_SAMPLE      a DMA stream, read done    gyro rate      the control path, < 1 gyro period
  *   PRIORITY_TICK        SysTick                    1 kHz          < 1 us: counts milliseconds; a silent gyro's step,
  *                                                                  stop frames until the program sends its own
  *   (thread)             background, MSP, sleep     the rest
@@ -19,7 +21,8 @@
 enum priority {
 	PRIORITY_FAULT = 0,
 	PRIORITY_GYRO_EDGE = 1,
-	PRIORITY_SAMPLE = 2,
+	PRIORITY_MOTORS = 2,
+	PRIORITY_SAMPLE = 3,
 	PRIORITY_TICK = PRIORITY_SAMPLE,
 };
 
@@ -43,6 +46,20 @@ static inline void interrupts_disable(void)
 static inline void interrupts_enable(void)
 {
 	__asm volatile("cpsie i\n\tisb" ::: "memory");
+}
+
+/* Masks interrupts. Returns what interrupts_release takes to have them as they were. */
+static inline uint32_t interrupts_hold(void)
+{
+	uint32_t held;
+
+	__asm volatile("mrs %0, primask\n\tcpsid i" : "=r"(held)::"memory");
+	return held;
+}
+
+static inline void interrupts_release(uint32_t held)
+{
+	__asm volatile("msr primask, %0" ::"r"(held) : "memory");
 }
 
 /* Until the next interrupt has been served. The tick ends every sleep within a millisecond. */

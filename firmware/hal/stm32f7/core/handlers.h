@@ -4,5 +4,6 @@
 void reset_handler(void);       /* startup.c */
 void fault_handler(void);       /* fault.c: all faults, the clock's NMI and every interrupt nobody enabled */
 void tick_handler(void);        /* hal.c: SysTick */
-void gyro_edge_handler(void);   /* gyro_chip.c: EXTI3 */
-void gyro_sample_handler(void); /* gyro_chip.c: DMA2 stream 2 */
+void motors_sent_handler(void); /* motors.c: a DMA stream that writes frames */
+void gyro_edge_handler(void);   /* gyro_chip.c: the EXTI line of its data-ready pin */
+void gyro_sample_handler(void); /* gyro_chip.c: the DMA stream of its SPI */

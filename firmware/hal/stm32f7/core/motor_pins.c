@@ -1,30 +1,31 @@
 #include "hal/stm32f7/core/motor_pins.h"
 
+#include "hal/stm32f7/core/board.h"
+#include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/registers.h"
-#include "targets/MATEKF722/board.h"
-
-static const struct motor_pin {
-	struct pin pin;
-	uint32_t function;
-} motor_pins[] = { BOARD_MOTOR_PINS };
-_Static_assert(sizeof motor_pins / sizeof motor_pins[0] == BOARD_MOTOR_COUNT, "one pin a motor");
 
 void motor_pins_start(void)
 {
-	for (size_t i = 0; i < BOARD_MOTOR_COUNT; ++i)
-		gpio_output(motor_pins[i].pin, false);
+	for (size_t i = 0; i < board.motor_count && i < NF_MOTOR_COUNT_MAX; ++i)
+		gpio_output(pin_of(board.motor_pins[i]), false);
 }
 
-void motor_pins_connect(size_t count)
+void motor_pins_connect(size_t count, bool rest_high)
 {
 	for (size_t i = 0; i < count; ++i)
-		gpio_alternate(motor_pins[i].pin, motor_pins[i].function, GPIO_PULL_DOWN, GPIO_MEDIUM);
+		gpio_drive(pin_of(board.motor_pins[i]), rest_high, rest_high ? GPIO_PULL_UP : GPIO_PULL_DOWN,
+			   GPIO_MEDIUM);
 }
 
+/* DMA would go on writing the rest of a frame to the ports: nobody asks it for that any more. */
 void motor_pins_force_low(void)
 {
-	RCC_AHB1ENR |= BOARD_PORT_CLOCKS;
-	(void)RCC_AHB1ENR; /* a peripheral answers two cycles after its clock bit (RM0431 5.2.12) */
+	gpio_start();
+	RCC_APB2ENR |= RCC_APB2ENR_TIM1EN;
+	(void)RCC_APB2ENR;
+	TIM_DIER(TIM1) = 0;
+	(void)TIM_DIER(TIM1);
+	barrier();
 	motor_pins_start();
 }

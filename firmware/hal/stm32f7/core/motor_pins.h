@@ -1,13 +1,15 @@
-/* The pins of the motors: low, or connected to their timers. GPIO only, so that a fault can stop the motors. */
+/* The pins of the motors: low, or at rest between frames. Few registers, so that a fault can stop the motors. */
 #pragma once
 
+#include <stdbool.h>
 #include <stddef.h>
 
 /* Drives all motor lines low. The ports' clocks must run. */
 void motor_pins_start(void);
 
-/* Connects the first `count` motors, at most BOARD_MOTOR_COUNT, to their timers. */
-void motor_pins_connect(size_t count);
+/* Drives the first `count` motors' lines as frames need it, at most board.motor_count, resting high or low, and pulls them
+ * there where nobody drives them. */
+void motor_pins_connect(size_t count, bool rest_high);
 
-/* Disconnects all motors from their timers and drives the lines low, whatever state the chip is in. */
+/* Ends frames and drives all lines low, whatever state the chip is in. */
 void motor_pins_force_low(void);

@@ -81,20 +81,24 @@
 #define RCC_AHB1ENR_GPIOAEN BIT(0)
 #define RCC_AHB1ENR_GPIOBEN BIT(1)
 #define RCC_AHB1ENR_GPIOCEN BIT(2)
+#define RCC_AHB1ENR_GPIODEN BIT(3)
+#define RCC_AHB1ENR_GPIOEEN BIT(4)
 #define RCC_AHB1ENR_DMA1EN BIT(21)
 #define RCC_AHB1ENR_DMA2EN BIT(22)
 #define RCC_AHB2ENR REGISTER(0x40023834u)
 #define RCC_AHB2ENR_OTGFSEN BIT(7)
 #define RCC_APB1ENR REGISTER(0x40023840u)
-#define RCC_APB1ENR_TIM3EN BIT(1)
+#define RCC_APB1ENR_SPI2EN BIT(14)
 #define RCC_APB1ENR_SPI3EN BIT(15)
 #define RCC_APB1ENR_USART2EN BIT(17)
 #define RCC_APB1ENR_USART3EN BIT(18)
+#define RCC_APB1ENR_UART4EN BIT(19)
+#define RCC_APB1ENR_UART5EN BIT(20)
 #define RCC_APB1ENR_PWREN BIT(28)
 #define RCC_APB2ENR REGISTER(0x40023844u)
 #define RCC_APB2ENR_TIM1EN BIT(0)
-#define RCC_APB2ENR_TIM8EN BIT(1)
 #define RCC_APB2ENR_USART1EN BIT(4)
+#define RCC_APB2ENR_USART6EN BIT(5)
 #define RCC_APB2ENR_ADC1EN BIT(8)
 #define RCC_APB2ENR_SPI1EN BIT(12)
 #define RCC_APB2ENR_SYSCFGEN BIT(14)
@@ -109,6 +113,8 @@
 #define GPIOA 0x40020000u
 #define GPIOB 0x40020400u
 #define GPIOC 0x40020800u
+#define GPIOD 0x40020C00u
+#define GPIOE 0x40021000u
 #define GPIO_MODER(port) REGISTER((port) + 0x00u)
 #define GPIO_OTYPER(port) REGISTER((port) + 0x04u)
 #define GPIO_OSPEEDR(port) REGISTER((port) + 0x08u)
@@ -119,8 +125,7 @@
 #define GPIO_AFRH(port) REGISTER((port) + 0x24u)
 
 /* --- System configuration controller (RM0431 chapter 7) ------------------------------------ */
-#define SYSCFG_EXTICR1 REGISTER(0x40013808u)
-#define SYSCFG_EXTICR1_EXTI3 BITS(12, 4)
+#define SYSCFG_EXTICR(n) REGISTER(0x40013804u + 4u * (n)) /* n 1 to 4: port of four lines each, 4 bits a line */
 
 /* --- Direct memory access controller (RM0431 chapter 8): stream s of a controller ----------- */
 #define DMA1 0x40026000u
@@ -156,12 +161,9 @@
 #define DMA_SM0AR(dma, s) REGISTER((dma) + 0x1Cu + 0x18u * (s))
 
 /* --- Extended interrupts and events controller (RM0431 chapter EXTI) ----------------------- */
-#define EXTI_IMR REGISTER(0x40013C00u)
-#define EXTI_IMR_IM3 BIT(3)
+#define EXTI_IMR REGISTER(0x40013C00u) /* a bit each line, in all of them */
 #define EXTI_RTSR REGISTER(0x40013C08u)
-#define EXTI_RTSR_TR3 BIT(3)
 #define EXTI_PR REGISTER(0x40013C14u)
-#define EXTI_PR_PR3 BIT(3)
 
 /* --- Analog-to-digital converter (RM0431 chapter ADC); ADC_CCR is common to all three ------- */
 #define ADC1_SR REGISTER(0x40012000u)
@@ -174,9 +176,8 @@
 #define ADC1_CR2_SWSTART BIT(30)
 #define ADC1_CR1 REGISTER(0x40012004u)
 #define ADC1_CR1_SCAN BIT(8)
-#define ADC1_SMPR1 REGISTER(0x4001200Cu)
-#define ADC1_SMPR1_SMP10 BITS(0, 3)
-#define ADC1_SMPR1_SMP14 BITS(12, 3)
+#define ADC1_SMPR1 REGISTER(0x4001200Cu) /* of channels 10 to 18, 3 bits each */
+#define ADC1_SMPR2 REGISTER(0x40012010u) /* of 0 to 9 */
 #define ADC1_SQR1 REGISTER(0x4001202Cu)
 #define ADC1_SQR1_L BITS(20, 4)
 #define ADC1_SQR3 REGISTER(0x40012034u)
@@ -196,48 +197,23 @@
 #define IWDG_SR_PVU BIT(0)
 #define IWDG_SR_RVU BIT(1)
 
-/* --- Timers (RM0431 chapters TIM1/TIM8 and TIM2 to TIM5) ------------------------------------ */
+/* --- Timers (RM0431 chapter TIM1/TIM8) ------------------------------------------------------ */
 #define TIM1 0x40010000u
-#define TIM3 0x40000400u
-#define TIM8 0x40010400u
 #define TIM_CR1(timer) REGISTER((timer) + 0x00u)
 #define TIM_CR1_CEN BIT(0)
-#define TIM_CR1_ARPE BIT(7)
 #define TIM_CR2(timer) REGISTER((timer) + 0x04u)
 #define TIM_CR2_CCDS BIT(3)
 #define TIM_DIER(timer) REGISTER((timer) + 0x0Cu)
-#define TIM_DIER_UDE BIT(8)
-#define TIM_DIER_CC1DE BIT(9)
+#define TIM_DIER_CC1DE BIT(9) /* of channel 1; those of 2 to 4 follow */
 #define TIM_EGR(timer) REGISTER((timer) + 0x14u)
 #define TIM_EGR_UG BIT(0)
-#define TIM_CCMR1(timer) REGISTER((timer) + 0x18u)
-#define TIM_CCMR1_OC1PE BIT(3)
-#define TIM_CCMR1_OC1M BITS(4, 3)
-#define TIM_CCMR1_OC2PE BIT(11)
-#define TIM_CCMR1_OC2M BITS(12, 3)
-#define TIM_CCMR2(timer) REGISTER((timer) + 0x1Cu)
-#define TIM_CCMR2_OC3PE BIT(3)
-#define TIM_CCMR2_OC3M BITS(4, 3)
-#define TIM_CCMR2_OC4PE BIT(11)
-#define TIM_CCMR2_OC4M BITS(12, 3)
-#define TIM_CCER(timer) REGISTER((timer) + 0x20u)
-#define TIM_CCER_CC1E BIT(0)
-#define TIM_CCER_CC2E BIT(4)
-#define TIM_CCER_CC3E BIT(8)
-#define TIM_CCER_CC4E BIT(12)
 #define TIM_CNT(timer) REGISTER((timer) + 0x24u)
 #define TIM_PSC(timer) REGISTER((timer) + 0x28u)
 #define TIM_ARR(timer) REGISTER((timer) + 0x2Cu)
-#define TIM_CCR(timer, channel) REGISTER((timer) + 0x30u + 4u * (channel)) /* channel 1..4 */
-#define TIM_BDTR(timer) REGISTER((timer) + 0x44u)
-#define TIM_BDTR_MOE BIT(15)
-#define TIM_DCR(timer) REGISTER((timer) + 0x48u)
-#define TIM_DCR_DBA BITS(0, 5)
-#define TIM_DCR_DBL BITS(8, 5)
-#define TIM_DMAR(timer) REGISTER((timer) + 0x4Cu)
 
 /* --- Serial peripheral interface (RM0431 chapter SPI/I2S) ---------------------------------- */
 #define SPI1 0x40013000u
+#define SPI2 0x40003800u
 #define SPI3 0x40003C00u
 #define SPI_CR1(spi) REGISTER((spi) + 0x00u)
 #define SPI_CR1_CPHA BIT(0)
@@ -264,6 +240,9 @@
 #define USART1 0x40011000u
 #define USART2 0x40004400u
 #define USART3 0x40004800u
+#define UART4 0x40004C00u
+#define UART5 0x40005000u
+#define USART6 0x40011400u
 #define USART_CR1(uart) REGISTER((uart) + 0x00u)
 #define USART_CR1_UE BIT(0)
 #define USART_CR1_RE BIT(2)
@@ -434,6 +413,27 @@
 #define SIGNATURE_UID(word) REGISTER(0x1FF07A10u + 4u * (word))
 
 /* --- Interrupt numbers in use (RM0431 chapter NVIC, vector table) -------------------------- */
+#define IRQ_EXTI0 6u
+#define IRQ_EXTI1 7u
+#define IRQ_EXTI2 8u
 #define IRQ_EXTI3 9u
+#define IRQ_EXTI4 10u
+#define IRQ_DMA1_STREAM0 11u
+#define IRQ_DMA1_STREAM1 12u
+#define IRQ_DMA1_STREAM2 13u
+#define IRQ_DMA1_STREAM3 14u
+#define IRQ_DMA1_STREAM4 15u
+#define IRQ_DMA1_STREAM5 16u
+#define IRQ_DMA1_STREAM6 17u
+#define IRQ_EXTI9_5 23u
+#define IRQ_EXTI15_10 40u
+#define IRQ_DMA1_STREAM7 47u
+#define IRQ_DMA2_STREAM0 56u
+#define IRQ_DMA2_STREAM1 57u
 #define IRQ_DMA2_STREAM2 58u
+#define IRQ_DMA2_STREAM3 59u
+#define IRQ_DMA2_STREAM4 60u
+#define IRQ_DMA2_STREAM5 68u
+#define IRQ_DMA2_STREAM6 69u
+#define IRQ_DMA2_STREAM7 70u
 #define IRQ_COUNT 104u /* the table's last number is SDMMC2, 103 */

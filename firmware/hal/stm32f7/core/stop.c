@@ -5,11 +5,9 @@
 
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
-#include "hal/stm32f7/core/gpio.h"
+#include "hal/stm32f7/core/led.h"
 #include "hal/stm32f7/core/motor_pins.h"
-#include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/watchdog.h"
-#include "targets/MATEKF722/board.h"
 
 #define FLASH_MS 150u /* lit, then as long dark */
 #define PAUSE_MS 900u
@@ -36,11 +34,9 @@ _Noreturn void stop(enum led_code code)
 {
 	interrupts_disable();
 	motor_pins_force_low();
-	RCC_AHB1ENR |= BOARD_PORT_CLOCKS;
-	(void)RCC_AHB1ENR;
-	gpio_output(BOARD_LED0, true);
+	led_start();
 	for (uint32_t ms = 0;; ++ms) {
-		gpio_write(BOARD_LED0, !stop_led_lit(code, ms));
+		led_light(stop_led_lit(code, ms));
 		watchdog_feed();
 		stop_burn_millisecond();
 	}

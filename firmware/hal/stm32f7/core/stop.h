@@ -1,7 +1,7 @@
 /* Final stop: motors low, the LED flashes the cause. */
 #pragma once
 
-/* Flashes of LED0 before each pause. */
+/* Flashes of the LED before each pause. */
 enum led_code {
 	LED_REFUSED = 3,  /* the core cannot fly with this board's configuration */
 	LED_NO_CLOCK = 4, /* PLL, over-drive or cycle counter did not come up */

@@ -6,32 +6,36 @@
 #include "storage/card/sd_card.h"
 #include "usb/usb_device.h"
 
-/* --- Motors 1..6 by DShot: DMA writes a bit's pulse widths to the timers at each bit's begin. --- */
-/* Timers running, no frame yet. `protocol`: NF_MOTOR_PROTOCOL_...; `count`: motors in use, at most
- * BOARD_MOTOR_COUNT; the lines of the others stay low. Once, after motor_pins_start. */
-void motors_run(uint32_t protocol, size_t count);
+/* --- Motors by DShot on any pins of up to three ports: DMA writes the ports, paced by TIM1. --- */
+/* The timer runs, no frame yet. `protocol`: NF_MOTOR_PROTOCOL_...; `telemetry`: ESCs answer each frame on its line
+ * (bidirectional DShot); `count`: motors in use, at most board.motor_count; the lines of the others stay low. Once, after
+ * motor_pins_start. */
+void motors_run(uint32_t protocol, bool telemetry, size_t count);
 
-/* As motors_write of struct hal: sends one frame to every motor in use (26.7 us with DShot600); missing
- * values send a stop. Dropped while the last frame is still on the wire, and before motors_run; at the fourth write
- * in a row that it would be, the output has stuck and is set up anew. From the sample handler or the tick only. */
-void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry);
+/* As motors_write of struct hal: sends one frame to every motor in use (26.7 us with DShot600); missing values send a
+ * stop. Dropped, and false, while the last frame or its answers are still on the wire, and before motors_run: with
+ * telemetry that is 99 us (DShot600), 161 (DShot300), 282 (DShot150). At the fourth write in a row that it would be, the
+ * output has stuck and is set up anew. From the sample handler or the tick only. */
+bool motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry);
 
-/* Waits for the end of the frame that is on the wire, 60 us at most; with interrupts off no other one follows. */
+/* As rotors_read of struct hal: the answers to the last frame whose answers are over. From the sample handler only. */
+void motors_read(void *context, uint16_t words[NF_MOTOR_COUNT_MAX]);
+
+/* Waits for the end of the frame that is on the wire, 200 us at most; with interrupts off no other one follows. */
 void motors_finish(void);
 
 /* As motor_restarts of struct hal: how often outputs that had stuck were set up anew since boot. */
 uint32_t motors_restarts(void *context);
 
-/* --- The gyro chip on SPI1, an ICM20602 or one of its kin: data-ready at 8 kHz, every n-th edge read by DMA. --- */
+/* --- The gyro chip on its SPI, one of gyro_kinds.c: data-ready at 8 kHz, every n-th edge read by DMA. --- */
 struct gyro_found {
-	enum board_alignment alignment; /* how it is turned on this board */
-	enum gyro_chip kind;
-	uint8_t identity; /* WHO_AM_I, as it was read: also of a chip that is not known; 0xFF where none answers */
+	enum gyro_chip kind; /* left alone where it is not known */
+	uint8_t identity; /* what it said, as it was read: also of a chip that is not known; 0xFF where none answers */
 };
 
-/* Identifies and configures the chip (takes 0.3 s). False: absent, unknown, or it does not keep what is written to it;
- * `found` is then left alone but for the identity that was read. Needs the clocks at full speed. */
-bool gyro_start(struct gyro_found *found);
+/* Identifies and configures the chip at `place` of the board's description (takes 0.3 s). False: absent, unknown, none that this firmware can fly, or it does
+ * not keep what is written to it. Needs the clocks at full speed. */
+bool gyro_start(const struct board_chip *place, struct gyro_found *found);
 
 /* From now on `handlers->sample` gets `rate_hz` samples a second (one of NF_GYRO_RATES_HZ), from interrupts, and
  * `handlers->gyro_silent` is called whenever NF_GYRO_BAD_MS pass without one: also where gyro_start failed. */
@@ -70,8 +74,9 @@ void msp_lines_serve(const struct hal_handlers *handlers);
 bool msp_lines_finish(void);
 
 /* --- The UARTs of MSP's ports 0 and 1, 8N1. Background only. --- */
-/* Sets it up at `baud`, one of NF_MSP_BAUDS or NF_LOG_BAUDS: for MSP, or for something else. What came before is lost. */
-struct serial_line msp_uart_open(unsigned number, uint32_t baud);
+/* Sets it up at `baud`, one of NF_MSP_BAUDS or NF_LOG_BAUDS: for MSP, or for something else. What came before is lost. False: the
+ * board does not have it. */
+bool msp_uart_open(unsigned number, uint32_t baud, struct serial_line *line);
 
 /* --- The USB connector, polled. Background only. --- */
 /* Clocks, pins and controller; nothing is shown to a host yet. NULL: the controller does not answer. Then usb_bus_serve
@@ -80,8 +85,11 @@ const struct usb_controller *usb_bus_start(void);
 struct usb_device *usb_bus_device(void);
 void usb_bus_serve(const struct usb_function *function, const char *product);
 
-/* Does the cable bring its supply? After clock_peripherals. */
-bool usb_bus_powered(void);
+/* Does the board see a cable: its supply, or where it cannot measure that a host's traffic? After usb_bus_start. */
+bool usb_bus_seen(void);
+
+/* What is not seen for so long is not there. */
+uint32_t usb_bus_patience_ms(void);
 
 /* Passes on what has happened on the bus. Returns whether more may come within the millisecond: do not sleep. */
 bool usb_bus_step(void);
@@ -95,12 +103,15 @@ void usb_card_run(void);
 
 /* --- A log on the UART of MSP's second port, where the pilot has set it so: what it is written to is somebody
  * else's matter. Background only. --- */
-/* The line, 8N1, at one of NF_LOG_BAUDS. MSP must not have that port. */
+/* The line, 8N1, at one of NF_LOG_BAUDS. MSP must not have that port. NULL: the board has none. */
 const struct log_device *log_uart_start(uint32_t baud);
 
-/* --- Logs on the SD card of SPI3, by DMA and without an interrupt. Background only. --- */
-/* Pins and SPI are set up; looking for a card is left to the device's step. */
-const struct log_device *card_spi_start(void);
+/* --- Logs on the SD card or flash chip, by DMA and without an interrupt. Background only. --- */
+/* Pins and SPI are set up; looking for it is left to the device's step. NULL: the board has no place for one. */
+const struct log_device *log_spi_start(void);
 
-/* Its bus alone, for something else that uses the card. */
-const struct spi_bus *card_spi_open(void);
+/* Has the board a slot for a card? */
+bool log_spi_has_card(void);
+
+/* Its bus alone, for something else that uses the chip. NULL: as above. */
+const struct spi_bus *log_spi_open(void);

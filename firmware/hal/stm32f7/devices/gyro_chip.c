@@ -1,6 +1,6 @@
 #include "hal/stm32f7/devices/devices.h"
 
-#include "board.h"
+#include "hal/stm32f7/core/board.h"
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/fault.h"
@@ -9,94 +9,15 @@
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
+#include "hal/stm32f7/devices/gyro_kinds.h"
 #include "hal/stm32f7/peripherals/dma.h"
 #include "hal/stm32f7/peripherals/spi.h"
 #include "nf_contract.h"
 
-#define AF_SPI1 5u
-#define EXTI_PORT_C 2u /* SYSCFG_EXTICR1 */
-
-/* MPU-6500 register map and descriptions (RM-MPU-6500A-00), section 4; the ICM-20689 (DS-000143) has the same
- * registers there. ICM-20602 (DS-000176), ICM-20608-G and MPU-9250 as PX4's register headers tell of their data sheets,
- * ICM-20601 as I2Cdev's of DS-000191: docs/guides/board-bring-up.md says what of it only hardware can prove. */
-enum chip_register {
-	SMPLRT_DIV = 0x19,
-	CONFIG = 0x1A,
-	GYRO_CONFIG = 0x1B,
-	ACCEL_CONFIG = 0x1C,
-	ACCEL_CONFIG2 = 0x1D,
-	INT_PIN_CFG = 0x37,
-	INT_ENABLE = 0x38,
-	ACCEL_XOUT_H = 0x3B, /* then temperature and gyro, two bytes each, the upper one first */
-	SIGNAL_PATH_RESET = 0x68,
-	USER_CTRL = 0x6A,
-	PWR_MGMT_1 = 0x6B,
-	PWR_MGMT_2 = 0x6C,
-	I2C_IF = 0x70, /* the ICM-20602's alone */
-	WHO_AM_I = 0x75,
-};
-#define READ 0x80u
-#define DEVICE_RESET 0x80u /* PWR_MGMT_1 */
-#define AWAKE 0x01u        /* PWR_MGMT_1: clock from the gyro's PLL (CLKSEL 1), which all of them ask for */
-#define FULL_SCALE_3 0x18u /* GYRO_CONFIG: +-2000 deg/s, FCHOICE_B 0; ACCEL_CONFIG: +-16 g */
-#define FULL_SCALE_2 0x10u /* the same of the ICM-20601, whose ranges are twice as wide */
-#define START_MS 100u      /* at most, from power to the first access (PS-MPU-6500A-01, start-up time) */
-#define RESET_MS 100u      /* of the chip, and again of its signal paths */
-
-struct chip_setting {
-	uint8_t address;
-	uint8_t value;
-};
-#define SPI_ONLY_BY_USER_CTRL { USER_CTRL, 0x10 } /* I2C_IF_DIS */
-#define SPI_ONLY_BY_I2C_IF { I2C_IF, 0x40 }       /* I2C_IF_DIS of the ICM-20602, whose USER_CTRL has no such bit */
-
-/* Differences between the chips. */
-static const struct chip {
-	uint8_t identity;    /* WHO_AM_I */
-	enum gyro_chip kind;
-	enum board_alignment alignment;
-	struct chip_setting spi_only;
-	uint8_t reset_paths; /* SIGNAL_PATH_RESET: all there are */
-	uint8_t full_scale;  /* GYRO_CONFIG and ACCEL_CONFIG */
-	enum spi_speed speed;/* of data; registers take 1 MHz */
-} chips[] = {
-	/* 20 MHz at most */
-	{ NF_GYRO_IDENTITY_MPU6500, GYRO_MPU6500, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x07, FULL_SCALE_3,
-	  SPI_13M5 },
-	/* 8 MHz at most */
-	{ NF_GYRO_IDENTITY_ICM20689, GYRO_ICM20689, BOARD_ICM20689_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x03, FULL_SCALE_3,
-	  SPI_6M75 },
-	/* 10 MHz at most */
-	{ NF_GYRO_IDENTITY_ICM20602, GYRO_ICM20602, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_I2C_IF, 0x03, FULL_SCALE_3,
-	  SPI_6M75 },
-	/* 8 MHz at most */
-	{ NF_GYRO_IDENTITY_ICM20601, GYRO_ICM20601, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x03, FULL_SCALE_2,
-	  SPI_6M75 },
-	{ NF_GYRO_IDENTITY_ICM20608G, GYRO_ICM20608G, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x03, FULL_SCALE_3,
-	  SPI_6M75 },
-	/* 20 MHz at most by its data sheet, but PX4 keeps to 10 */
-	{ NF_GYRO_IDENTITY_MPU9250, GYRO_MPU9250, BOARD_GYRO_ALIGNMENT, SPI_ONLY_BY_USER_CTRL, 0x07, FULL_SCALE_3,
-	  SPI_6M75 },
-};
-
-/* Written in this order behind the chip's own; the same numbers for all. */
-static const struct chip_setting chip_settings[] = {
-	{ PWR_MGMT_2, 0x00 },    /* all axes on */
-	{ SMPLRT_DIV, 0x00 },    /* every sample */
-	{ CONFIG, 0x00 },        /* DLPF_CFG 0: 8 kHz, bandwidth 250 Hz; an ICM-20602 starts with 0x80 */
-	{ ACCEL_CONFIG2, 0x02 }, /* 1 kHz, bandwidth about 95 Hz: attitude needs gravity, not vibration */
-	{ INT_PIN_CFG, 0x00 },   /* active high, push-pull, 50 us pulse */
-	{ INT_ENABLE, 0x01 },    /* data ready */
-};
-
 #define AXES 3u
-#define ACCEL_OFFSET 1u /* behind the address byte */
-#define TEMPERATURE_OFFSET 7u
-#define GYRO_OFFSET 9u
-#define TRANSFER_BYTES 15u
 
-static DMA_BUFFER_SLOW uint8_t gyro_request[TRANSFER_BYTES];
-static DMA_BUFFER uint8_t gyro_response[TRANSFER_BYTES];
+static DMA_BUFFER_SLOW uint8_t gyro_request[GYRO_TRANSFER_BYTES];
+static DMA_BUFFER uint8_t gyro_response[GYRO_TRANSFER_BYTES];
 
 /* A sample whose handler takes longer than its period is followed by the next one at once, and nothing below runs in
  * between: no background, and nobody feeds the watchdog. What runs below is owed a cycle for each 8 that samples take,
@@ -107,7 +28,14 @@ static DMA_BUFFER uint8_t gyro_response[TRANSFER_BYTES];
 
 /* Between gyro_run, the edge handler, the sample handler and the tick. */
 static struct {
-	const struct chip *chip; /* NULL: none that we know */
+	bool found;              /* set up by gyro_start */
+	enum gyro_chip chip;     /* that was found */
+	struct gyro_layout layout; /* of its samples */
+	uint32_t port,
+		deselect; /* of its select line: GPIO_BSRR's word that ends a transfer; the upper half begins one */
+	uint8_t ready;           /* its data-ready pin, coded */
+	uint32_t line;           /* of EXTI, the bit of that pin */
+	struct dma_stream rx;    /* reads */
 	const struct hal_handlers *handlers; /* NULL before gyro_run */
 	uint32_t divider;        /* edges a sample */
 	uint32_t until_read;     /* edges until the next read; the edge handler's alone */
@@ -121,95 +49,63 @@ static struct {
 	volatile bool reading;   /* a transfer was started and not yet taken */
 } gyro;
 
+static inline void gyro_select(void)
+{
+	GPIO_BSRR(gyro.port) = gyro.deselect << 16;
+}
+
+static inline void gyro_deselect(void)
+{
+	GPIO_BSRR(gyro.port) = gyro.deselect;
+}
+
 static bool gyro_transfer(uint8_t *bytes, size_t count)
 {
-	gpio_write(BOARD_GYRO_CS, false);
+	gyro_select();
 	const bool moved = spi_exchange(bytes, count);
-	gpio_write(BOARD_GYRO_CS, true);
+	gyro_deselect();
 	return moved;
-}
-
-static bool gyro_read_register(uint8_t address, uint8_t *value)
-{
-	uint8_t bytes[2] = { (uint8_t)(address | READ), 0 };
-	const bool moved = gyro_transfer(bytes, sizeof bytes);
-
-	*value = bytes[1];
-	return moved;
-}
-
-static bool gyro_write_register(uint8_t address, uint8_t value)
-{
-	uint8_t bytes[2] = { address, value };
-
-	return gyro_transfer(bytes, sizeof bytes);
-}
-
-/* The chip of that identity; NULL: this driver does not know it. */
-static const struct chip *gyro_find(uint8_t identity)
-{
-	for (size_t i = 0; i < sizeof chips / sizeof chips[0]; ++i)
-		if (chips[i].identity == identity)
-			return &chips[i];
-	return NULL;
-}
-
-/* Writes a register and reads it back. */
-static bool gyro_set(struct chip_setting setting)
-{
-	uint8_t kept;
-
-	return gyro_write_register(setting.address, setting.value) && gyro_read_register(setting.address, &kept) &&
-	       kept == setting.value;
-}
-
-/* First the bus, so that no level on its lines makes the chip take it for I2C; then awake, as signal paths of a chip that
- * sleeps need not be there to be reset. */
-static bool gyro_wake(const struct chip *chip)
-{
-	return gyro_set(chip->spi_only) && gyro_set((struct chip_setting){ PWR_MGMT_1, AWAKE }) &&
-	       gyro_write_register(SIGNAL_PATH_RESET, chip->reset_paths);
-}
-
-static bool gyro_configure(const struct chip *chip)
-{
-	if (!gyro_set((struct chip_setting){ GYRO_CONFIG, chip->full_scale }) ||
-	    !gyro_set((struct chip_setting){ ACCEL_CONFIG, chip->full_scale }))
-		return false;
-	for (size_t i = 0; i < sizeof chip_settings / sizeof chip_settings[0]; ++i)
-		if (!gyro_set(chip_settings[i]))
-			return false;
-	return true;
 }
 
 /* Runs once: small rather than quick, unlike the transfers. */
-__attribute__((cold)) bool gyro_start(struct gyro_found *found)
+__attribute__((cold)) bool gyro_start(const struct board_chip *place, struct gyro_found *found)
 {
-	gpio_output(BOARD_GYRO_CS, true);
-	gpio_input(BOARD_GYRO_READY, GPIO_PULL_DOWN);
-	/* The pull-up keeps the clock at its rest level while the SPI is off (RM0431 SPI, clock polarity). */
-	gpio_alternate(BOARD_GYRO_SCK, AF_SPI1, GPIO_PULL_UP, GPIO_FAST);
-	gpio_alternate(BOARD_GYRO_MISO, AF_SPI1, GPIO_PULL_UP, GPIO_FAST);
-	gpio_alternate(BOARD_GYRO_MOSI, AF_SPI1, GPIO_FLOATING, GPIO_FAST);
+	const struct pin select = pin_of(place->select);
+
+	if (select.port == 0u || pin_of(place->ready).port == 0u || !spi_open(place->spi))
+		return false;
+	gyro.ready = place->ready;
+	gyro.port = select.port;
+	gyro.deselect = 1u << select.number;
+	gpio_output(select, true);
+	gpio_input(pin_of(place->ready), GPIO_PULL_DOWN);
 	spi_configure(SPI_844K);
 
-	time_delay_ms(START_MS); /* the chip's supply may have come with the processor's */
+	time_delay_ms(GYRO_START_MS); /* the chip's supply may have come with the processor's */
 	watchdog_feed();         /* its half second may be a third, and resets follow */
-	if (!gyro_write_register(PWR_MGMT_1, DEVICE_RESET))
+	if (!gyro_identify(gyro_transfer, &found->identity, &found->kind) || !gyro_set_up(gyro_transfer, found->kind))
 		return false;
-	time_delay_ms(RESET_MS);
-	if (!gyro_read_register(WHO_AM_I, &found->identity))
-		return false;
-	const struct chip *const chip = gyro_find(found->identity);
-	if (chip == NULL || !gyro_wake(chip))
-		return false;
-	time_delay_ms(RESET_MS); /* an ICM-20602's gyro takes 35 ms from sleep, and its kin no longer */
-	if (!gyro_configure(chip))
-		return false;
-	gyro.chip = chip;
-	found->alignment = chip->alignment;
-	found->kind = chip->kind;
+	gyro.chip = found->kind;
+	gyro.layout = *gyro_layout(gyro.chip);
+	gyro.found = true;
 	return true;
+}
+
+/* The lines of EXTI have their pins' numbers; a port is chosen for each. */
+static __attribute__((cold)) void gyro_watch_line(uint8_t code)
+{
+	static const uint8_t first[] = { IRQ_EXTI0, IRQ_EXTI1, IRQ_EXTI2, IRQ_EXTI3, IRQ_EXTI4 };
+	const uint32_t line = code & 0xFu, field = BITS(line % 4u * 4u, 4);
+
+	gyro.line = BIT(line);
+	SYSCFG_EXTICR(line / 4u + 1u) = (SYSCFG_EXTICR(line / 4u + 1u) & ~field) | FIELD(field, code >> 4);
+	EXTI_RTSR |= gyro.line;
+	EXTI_PR = gyro.line;
+	EXTI_IMR |= gyro.line;
+	interrupt_enable(line < sizeof first ? first[line] :
+			 line < 10u          ? IRQ_EXTI9_5 :
+					       IRQ_EXTI15_10,
+			 PRIORITY_GYRO_EDGE);
 }
 
 void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz)
@@ -219,21 +115,16 @@ void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz)
 	gyro.until_read = 1;
 	gyro.reading = false;
 	gyro.ended = time_cycles();
-	gyro_request[0] = ACCEL_XOUT_H | READ;
+	gyro_request[0] = gyro.layout.request;
 	barrier();
 	gyro.handlers = handlers; /* from here on the tick watches */
-	if (gyro.chip == NULL)
+	if (!gyro.found)
 		return;
 
-	spi_configure(gyro.chip->speed);
-	spi_dma_setup();
-	interrupt_enable(IRQ_DMA2_STREAM2, PRIORITY_SAMPLE);
-
-	SYSCFG_EXTICR1 = (SYSCFG_EXTICR1 & ~SYSCFG_EXTICR1_EXTI3) | FIELD(SYSCFG_EXTICR1_EXTI3, EXTI_PORT_C);
-	EXTI_RTSR |= EXTI_RTSR_TR3;
-	EXTI_PR = EXTI_PR_PR3;
-	EXTI_IMR |= EXTI_IMR_IM3;
-	interrupt_enable(IRQ_EXTI3, PRIORITY_GYRO_EDGE);
+	spi_configure(gyro_speed(gyro.chip));
+	gyro.rx = spi_dma_setup();
+	interrupt_enable(gyro.rx.interrupt, PRIORITY_SAMPLE);
+	gyro_watch_line(gyro.ready);
 }
 
 uint32_t gyro_samples(void)
@@ -253,7 +144,7 @@ void gyro_tick(void)
 static void gyro_end_transfer(void)
 {
 	(void)spi_finish(); /* a stream that is still stuck makes the next spi_start refuse, and samples stop */
-	gpio_write(BOARD_GYRO_CS, true);
+	gyro_deselect();
 	gyro.reading = false;
 }
 
@@ -261,8 +152,8 @@ static void gyro_start_transfer(void)
 {
 	gyro.reading = true;
 	gyro.read = gyro.due;
-	gpio_write(BOARD_GYRO_CS, false);
-	if (!spi_start(gyro_request, gyro_response, TRANSFER_BYTES))
+	gyro_select();
+	if (!spi_start(gyro_request, gyro_response, GYRO_TRANSFER_BYTES))
 		gyro_end_transfer();
 }
 
@@ -270,22 +161,34 @@ static void gyro_start_transfer(void)
  * frames end, and the ESCs stop their motors. */
 void gyro_edge_handler(void)
 {
-	EXTI_PR = EXTI_PR_PR3;
+	EXTI_PR = gyro.line;
 	barrier(); /* cleared before the handler can return, or it would run twice */
 	if (--gyro.until_read != 0u)
 		return;
 	gyro.until_read = gyro.divider;
 	++gyro.due;
-	if (gyro.reading && dma_complete(DMA_GYRO_RX))
+	if (gyro.reading && dma_complete(gyro.rx))
 		return; /* read but not yet taken: the control path is late, and this sample is lost */
 	if (gyro.reading)
 		gyro_end_transfer(); /* a read takes 9 or 18 us: this one is stuck */
 	gyro_start_transfer();
 }
 
-static int16_t gyro_big_endian(const volatile uint8_t *bytes)
+/* 70 mdeg/s in counts of 2000 / 32768 deg/s: times 3584 / 3125, to the nearest. What lies beyond +-2000 deg/s saturates.
+ * From flash: few chips need it. */
+static __attribute__((noinline)) void gyro_refine(int16_t words[AXES])
 {
-	return (int16_t)(uint16_t)(bytes[0] << 8 | bytes[1]);
+	for (uint32_t axis = 0; axis < AXES; ++axis) {
+		const int32_t counts = (words[axis] * 3584 + (words[axis] < 0 ? -1562 : 1562)) / 3125;
+		words[axis] = (int16_t)(counts < INT16_MIN ? INT16_MIN : counts > INT16_MAX ? INT16_MAX : counts);
+	}
+}
+
+/* Reads `count` words from byte `at` of the response on. */
+static __attribute__((noinline)) void gyro_words(uint32_t at, uint32_t upper, uint32_t count, int16_t *words)
+{
+	for (const volatile uint8_t *bytes = gyro_response + at; count-- != 0u; bytes += 2)
+		*words++ = (int16_t)(uint16_t)(bytes[upper] << 8 | bytes[upper ^ 1u]);
 }
 
 /* Has what runs below had its share up to now? */
@@ -300,6 +203,7 @@ static bool gyro_share(uint32_t now)
 
 void gyro_sample_handler(void)
 {
+	const struct gyro_layout layout = gyro.layout;
 	struct imu_sample sample;
 	const uint32_t begun = time_cycles();
 
@@ -310,16 +214,16 @@ void gyro_sample_handler(void)
 		interrupts_enable();
 		return;
 	}
-	sample.valid = dma_complete(DMA_GYRO_RX); /* or it ended in an error of the bus */
+	sample.valid = dma_complete(gyro.rx); /* or it ended in an error of the bus */
 	const uint32_t lost = gyro.read - gyro.taken - 1u;
 
 	gyro.taken = gyro.read;
 	gyro_end_transfer();
-	for (uint32_t axis = 0; axis < AXES; ++axis) {
-		sample.accel[axis] = gyro_big_endian(gyro_response + ACCEL_OFFSET + 2u * axis);
-		sample.gyro[axis] = gyro_big_endian(gyro_response + GYRO_OFFSET + 2u * axis);
-	}
-	sample.temperature = gyro_big_endian(gyro_response + TEMPERATURE_OFFSET);
+	gyro_words(layout.accel, layout.upper, AXES, sample.accel);
+	gyro_words(layout.gyro, layout.upper, AXES, sample.gyro);
+	gyro_words(layout.temperature, layout.upper, 1, &sample.temperature);
+	if (layout.coarse)
+		gyro_refine(sample.gyro);
 	interrupts_enable();
 	/* A read that was under way in a silence has been counted by it: then this is -1. */
 	sample.lost = lost < NF_GYRO_EDGE_RATE_HZ ? (uint16_t)lost : 0u;

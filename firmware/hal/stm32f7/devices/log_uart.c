@@ -59,7 +59,8 @@ static const struct log_device device = {
 
 const struct log_device *log_uart_start(uint32_t baud)
 {
-	line = msp_uart_open(PORT, baud);
+	if (!msp_uart_open(PORT, baud, &line))
+		return NULL;
 	state = NF_LOG_STATE_READY;
 	return &device;
 }

@@ -1,165 +1,209 @@
 #include "hal/stm32f7/devices/devices.h"
 
-#include "board.h"
+#include "hal/stm32f7/core/board.h"
 #include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/fault.h"
+#include "hal/stm32f7/core/gpio.h"
+#include "hal/stm32f7/core/handlers.h"
 #include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/peripherals/dma.h"
 #include "motors/dshot.h"
+#include "motors/dshot_telemetry.h"
 #include "nf_contract.h"
 
+/* Frames are written to the pins' GPIO ports by DMA: at each of TIM1's updates a stream moves one word to its port's BSRR.
+ * A bit is three words: all pulses begin; those of zeros end; the others end. So a pulse lasts a third or two thirds of a
+ * bit, where DShot's nominal values are 37.5 and 75 %: decoders compare with half a bit. Only the middle words change.
+ *
+ * With the setting motor_telemetry the lines rest high, pulses are low, and each frame is answered on the same line: when
+ * the last word is written an interrupt turns the pins into inputs, and the same streams, three times a bit of the answer,
+ * store the port's levels. The next frame, or whoever asks for the answers, finds them there. */
 #define FRAME_BITS 16u
-/* What DMA writes takes effect one bit later (preload), so the first trailing slot ends the last bit with a
- * low line; the second keeps it low for a whole bit before the stream can be seen as free. */
-#define SLOTS (FRAME_BITS + 2u)
+#define WORDS_A_BIT 3u
+#define REST_WORDS 6u          /* behind the last bit: no frame may follow without a rest of two bits */
+#define ANSWERED_REST_WORDS 2u /* an answer is a longer one, and nobody may drive the line meanwhile */
+#define FRAME_WORDS (FRAME_BITS * WORDS_A_BIT + REST_WORDS)
 
-enum { PWM_MODE_1 = 6 };                  /* TIM_CCMR OCxM: high while the counter is below the compare value */
-enum { CCR1_INDEX = 13, BURST_OF_4 = 3 }; /* TIM_DCR: CCR1 is the 13th word, 4 transfers a burst */
+/* An answer begins about 30 us after the frame's end (AM32 and Bluejay by their source; BLHeli_32 as users see it). The
+ * samples begin when the rest above has passed. */
+#define ANSWER_EARLIEST_US 8u
+#define ANSWER_LATEST_US 38u
+#define SAMPLES_OF_US(us, hz) (((us) * (hz) + 999999u) / 1000000u)
+#define ANSWER_PAIRS(hz) ((SAMPLES_OF_US(ANSWER_LATEST_US, hz) + DSHOT_ANSWER_SAMPLES + 1u) / 2u)
 
-/* Pulse widths, bit by bit, as DMA moves them: four motors side by side for the burst, then one alone. The
- * trailing slots stay 0. */
-#define BURST_WIDTH 4u
-static DMA_BUFFER_SLOW uint32_t motor_slots[SLOTS * BOARD_MOTOR_COUNT];
+#define GROUP 4u /* motors that one table serves */
+#define GROUPS (NF_MOTOR_COUNT_MAX / GROUP)
 
-/* A timer and the motors that it drives. */
-struct bank {
-	uint32_t timer;
-	uint32_t clock_hz;
-	uint32_t first;              /* motor, by index */
-	uint32_t width;              /* motors */
-	struct dma_stream stream;
-	volatile uint32_t *target;   /* where DMA writes */
-	uint32_t request;            /* TIM_DIER: asks for DMA at every bit's begin */
-	uint32_t *slots;             /* SLOTS times `width` */
-	uint32_t ccmr1, ccmr2, ccer; /* compare channels in use */
-	bool advanced;               /* has a main output switch */
-};
-
-/* Compare channels in use. */
-// clang-format off
-#define CHANNEL_1 .ccmr1 = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE, .ccer = TIM_CCER_CC1E
-#define CHANNEL_4 .ccmr2 = FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) | TIM_CCMR2_OC4PE, .ccer = TIM_CCER_CC4E
-#define CHANNELS_1_TO_4                                                                \
-	.ccmr1 = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE |                 \
-		 FIELD(TIM_CCMR1_OC2M, PWM_MODE_1) | TIM_CCMR1_OC2PE,                  \
-	.ccmr2 = FIELD(TIM_CCMR2_OC3M, PWM_MODE_1) | TIM_CCMR2_OC3PE |                 \
-		 FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) | TIM_CCMR2_OC4PE,                  \
-	.ccer = TIM_CCER_CC1E | TIM_CCER_CC2E | TIM_CCER_CC3E | TIM_CCER_CC4E
-
-/* The rows of board.h: four motors on all channels of a timer, or one on one of them. `dma`, `dma_request`: what
- * moves the pulse widths at each bit's begin. */
-#define MOTOR_BANK_OF_4(motor, tim, hz, dma, dma_request, switched)                                \
-	{                                                                                          \
-		.timer = tim, .clock_hz = hz, .first = motor, .width = BURST_WIDTH, .stream = dma, \
-		.target = &TIM_DMAR(tim), .request = dma_request,                                  \
-		.slots = motor_slots + SLOTS * motor, CHANNELS_1_TO_4, .advanced = switched        \
-	}
-#define MOTOR_BANK_OF_1(motor, tim, channel, hz, dma, dma_request, switched)             \
+/* Speeds of a protocol. */
+#define SPEED(bits_a_second)                                                             \
 	{                                                                                \
-		.timer = tim, .clock_hz = hz, .first = motor, .width = 1, .stream = dma, \
-		.target = &TIM_CCR(tim, channel), .request = dma_request,                \
-		.slots = motor_slots + SLOTS * motor, CHANNEL_##channel, .advanced = switched \
+		.word_ticks = CLOCK_TIM1_HZ / (WORDS_A_BIT * (bits_a_second)),           \
+		.sample_ticks = CLOCK_TIM1_HZ / SAMPLE_HZ(bits_a_second),                \
+		.pairs = ANSWER_PAIRS(SAMPLE_HZ(bits_a_second)),                         \
+		.earliest = SAMPLES_OF_US(ANSWER_EARLIEST_US, SAMPLE_HZ(bits_a_second)), \
 	}
-// clang-format on
-static const struct bank banks[] = { BOARD_MOTOR_BANKS };
-#define BANK_COUNT (sizeof banks / sizeof banks[0])
-
-static const uint32_t bits_a_second[] = {
-	[NF_MOTOR_PROTOCOL_DSHOT300] = 300000,
-	[NF_MOTOR_PROTOCOL_DSHOT600] = 600000,
-	[NF_MOTOR_PROTOCOL_DSHOT150] = 150000,
+#define SAMPLE_HZ(bits_a_second) (DSHOT_ANSWER_OVERSAMPLING * (bits_a_second) / 4u * 5u)
+static const struct speed {
+	uint32_t word_ticks;   /* of TIM1 a word of a frame */
+	uint32_t sample_ticks; /* and a sample of an answer */
+	uint32_t pairs;        /* of samples */
+	uint32_t earliest;     /* sample at which an answer may begin */
+} speeds[] = {
+	[NF_MOTOR_PROTOCOL_DSHOT300] = SPEED(300000u),
+	[NF_MOTOR_PROTOCOL_DSHOT600] = SPEED(600000u),
+	[NF_MOTOR_PROTOCOL_DSHOT150] = SPEED(150000u),
 };
+#define PAIRS_MAX ANSWER_PAIRS(SAMPLE_HZ(600000u))
 
-struct pulse {
-	uint32_t zero; /* ticks that a bit is high: 37.5 % of it */
-	uint32_t more; /* for a one, 75 % */
-};
+static DMA_BUFFER_SLOW uint32_t motor_words[NF_BOARD_MOTOR_PORTS_MAX][FRAME_WORDS];
+/* DMA writes these, yet not to DTCM, which is the policy's: read once a control step, each word costs some cycles more. */
+static DMA_BUFFER_SLOW uint32_t motor_samples[NF_BOARD_MOTOR_PORTS_MAX][PAIRS_MAX];
+
+/* A port that motors are wired to. Set by motors_run. */
+static struct motor_port {
+	struct dma_stream stream;
+	uint32_t port;  /* GPIOA.. */
+	uint32_t pins;  /* of motors in use */
+	uint32_t modes; /* the lower bit of each of their fields in GPIO_MODER */
+	uint16_t
+		zeros[GROUPS]
+		     [1u << GROUP]; /* pins of zeros, for each pattern of four motors' bits, the first motor's lowest */
+} ports[NF_BOARD_MOTOR_PORTS_MAX];
 
 /* Set by motors_run. */
-static uint32_t banks_in_use, bits_hz;
-static struct pulse pulses[BANK_COUNT];
+static struct {
+	uint32_t ports; /* with motors in use; 0 before */
+	uint32_t last; /* port that DMA serves last */
+	uint32_t motors;
+	uint32_t words; /* of a frame */
+	uint32_t requests; /* TIM_DIER: those of all ports */
+	const struct speed *speed;
+	bool telemetry;
+	uint8_t places[NF_MOTOR_COUNT_MAX]; /* of each motor: its port's number in `ports`, times 16, and its pin's */
+} setup;
 
-/* A frame has long ended by the next write, a gyro period later: 107 us with DShot150, 125 us at 8 kHz. A stream that is
- * enabled at so many writes in a row gets no requests any more, and would never end by itself. */
+/* SENDING is the writer's; it becomes LISTENING by the interrupt alone. */
+static volatile enum phase {
+	RESTING, /* a frame may be sent, or is one that nobody answers */
+	SENDING, /* a frame that will be answered */
+	LISTENING, /* the pins are inputs, and the streams store samples, or have */
+} phase;
+static uint16_t answers[NF_MOTOR_COUNT_MAX];
+
+/* Frame and answer have long ended by the fourth write from theirs on: they take 99 us with DShot600 and 282 us with
+ * DShot150, and writes come each 125 us at 8 kHz. A stream that is enabled at so many in a row gets no requests any more,
+ * and would never end by itself. */
 #define STUCK_WRITES 4u
 static uint32_t writes_dropped, restarts;
 
-static __attribute__((cold, noinline)) void motors_start_bank(const struct bank *bank, uint32_t bit_ticks)
+/* The word for BSRR that begins or ends pulses. */
+static uint32_t motors_edge(uint32_t pins, bool begins)
 {
-	TIM_PSC(bank->timer) = 0;
-	TIM_ARR(bank->timer) = bit_ticks - 1u;
-	for (uint32_t channel = 1; channel <= 4u; ++channel)
-		TIM_CCR(bank->timer, channel) = 0;
-	if (bank->ccmr1 != 0u)
-		TIM_CCMR1(bank->timer) = bank->ccmr1;
-	if (bank->ccmr2 != 0u)
-		TIM_CCMR2(bank->timer) = bank->ccmr2;
-	if (bank->width == BURST_WIDTH)
-		TIM_DCR(bank->timer) = FIELD(TIM_DCR_DBL, BURST_OF_4) | FIELD(TIM_DCR_DBA, CCR1_INDEX);
-	if (bank->request != TIM_DIER_UDE)
-		TIM_CR2(bank->timer) = TIM_CR2_CCDS;
-	TIM_EGR(bank->timer) = TIM_EGR_UG; /* the preloaded values take effect */
-	TIM_CCER(bank->timer) = bank->ccer;
-	if (bank->advanced)
-		TIM_BDTR(bank->timer) |= TIM_BDTR_MOE;
-	TIM_CR1(bank->timer) = TIM_CR1_ARPE | TIM_CR1_CEN;
-	dma_setup(bank->stream, bank->target, DMA_TO_PERIPHERAL, DMA_WORD, DMA_VERY_HIGH, 0);
+	return begins != setup.telemetry ? pins : pins << 16;
+}
+
+static void motors_forget(void)
+{
+	for (uint32_t i = 0; i < NF_MOTOR_COUNT_MAX; ++i)
+		answers[i] = NF_ESC_SILENT;
+}
+
+/* Sets up the next port, and the words of its frames that stay. A port without motors in use is left alone. */
+static __attribute__((cold)) void motors_start_port(const struct board_motor_port *described)
+{
+	const uint32_t number = setup.ports;
+	struct motor_port *const self = &ports[number];
+
+	*self = (struct motor_port){ .stream = stream_of(described->dma),
+				     .port = pin_of((uint8_t)(described->port << 4)).port };
+	for (uint32_t motor = 0; motor < setup.motors; ++motor) {
+		const struct pin pin = pin_of(board.motor_pins[motor]);
+
+		if (pin.port != self->port)
+			continue;
+		setup.places[motor] = (uint8_t)(number * DSHOT_PORT_LINES + pin.number);
+		self->pins |= 1u << pin.number;
+		self->modes |= FIELD(3u << 2u * pin.number, GPIO_OUTPUT);
+		for (uint32_t bits = 0; bits < 1u << GROUP; ++bits)
+			if ((bits >> motor % GROUP & 1u) == 0u)
+				self->zeros[motor / GROUP][bits] |= (uint16_t)(1u << pin.number);
+	}
+	if (self->pins == 0u)
+		return;
+	++setup.ports;
+	setup.requests |= TIM_DIER_CC1DE << (described->channel - 1u);
+	if (self->stream.at > ports[setup.last].stream.at)
+		setup.last = number;
+	for (uint32_t i = 0; i < FRAME_WORDS; ++i)
+		motor_words[number][i] = motors_edge(self->pins, i < WORDS_A_BIT * FRAME_BITS && i % WORDS_A_BIT == 0u);
+}
+
+/* The lines rest from here on. */
+static __attribute__((cold, noinline)) void motors_start_timer(void)
+{
+	TIM_DIER(TIM1) = 0;
+	TIM_PSC(TIM1) = 0;
+	TIM_ARR(TIM1) = setup.speed->word_ticks - 1u;
+	TIM_CR2(TIM1) = TIM_CR2_CCDS; /* the channels ask with the update, all of them at once */
+	TIM_EGR(TIM1) = TIM_EGR_UG;
+	TIM_CR1(TIM1) = TIM_CR1_CEN;
+	for (uint32_t i = 0; i < setup.ports; ++i)
+		GPIO_BSRR(ports[i].port) = motors_edge(ports[i].pins, false);
 }
 
 /* Runs once: small rather than quick, unlike the frames. */
-__attribute__((cold)) void motors_run(uint32_t protocol, size_t count)
+__attribute__((cold)) void motors_run(uint32_t protocol, bool telemetry, size_t count)
 {
-	HAL_ASSERT(protocol < sizeof bits_a_second / sizeof bits_a_second[0] && count <= BOARD_MOTOR_COUNT);
-	uint32_t used = 0;
-
-	for (; used < BANK_COUNT && banks[used].first < count; ++used) {
-		bits_hz = bits_a_second[protocol];
-		const uint32_t ticks = banks[used].clock_hz / bits_hz;
-
-		pulses[used].zero = ticks * 3u / 8u;
-		pulses[used].more = ticks * 3u / 4u - pulses[used].zero;
-		motors_start_bank(&banks[used], ticks);
-	}
-	motor_pins_connect(count);
+	HAL_ASSERT(protocol < sizeof speeds / sizeof speeds[0] && count <= board.motor_count &&
+		   board.motor_count <= NF_MOTOR_COUNT_MAX && board.motor_port_count <= NF_BOARD_MOTOR_PORTS_MAX);
+	setup.speed = &speeds[protocol];
+	setup.telemetry = telemetry;
+	setup.motors = (uint32_t)count;
+	setup.words = FRAME_BITS * WORDS_A_BIT + (telemetry ? ANSWERED_REST_WORDS : REST_WORDS);
+	setup.ports = setup.requests = setup.last = 0;
+	motors_forget();
+	for (uint32_t i = 0; i < board.motor_port_count; ++i)
+		motors_start_port(&board.motor_ports[i]);
+	motors_start_timer();
+	motor_pins_connect(count, telemetry);
+	if (telemetry)
+		interrupt_enable(ports[setup.last].stream.interrupt, PRIORITY_MOTORS);
 	barrier();
-	banks_in_use = used;
 }
 
-/* Does DMA still read a frame? */
-static bool motors_busy(void)
+/* Does DMA still move a frame or samples? */
+static bool motors_moving(void)
 {
-	for (uint32_t i = 0; i < banks_in_use; ++i)
-		if (dma_busy(banks[i].stream))
+	for (uint32_t i = 0; i < setup.ports; ++i)
+		if (dma_busy(ports[i].stream))
 			return true;
 	return false;
 }
 
-#define FRAME_CYCLES (CLOCK_CORE_HZ / 5000u) /* 200 us; the longest, DShot150, takes 107 */
+#define FRAME_CYCLES (CLOCK_CORE_HZ / 5000u) /* 200 us; the longest, DShot150, takes 120 */
 
 __attribute__((cold)) void motors_finish(void)
 {
 	const uint32_t start = time_cycles();
 
-	while (motors_busy() && time_cycles() - start < FRAME_CYCLES)
+	while (phase != LISTENING && motors_moving() && time_cycles() - start < FRAME_CYCLES)
 		;
 }
 
-/* Ends each stream that is stuck and sets its timer up anew, as at the start: the lines are low from here on. No frame is
- * sent yet. What an ESC has of the one that broke off has no 16 bits; it forgets them in the rest before the next write. A
+/* Ends streams that are stuck and sets the timer up anew, as at the start: the lines rest from here on. No frame is sent
+ * yet. What an ESC has of the one that broke off has no 16 bits; it forgets them in the rest before the next write. A
  * stream that cannot be ended is tried again later. */
 static __attribute__((cold, noinline)) void motors_restart(void)
 {
 	++restarts;
-	for (uint32_t i = 0; i < banks_in_use; ++i) {
-		const struct bank *const bank = &banks[i];
-
-		if (!dma_busy(bank->stream))
-			continue;
-		TIM_DIER(bank->timer) &= ~bank->request;
-		if (dma_stop(bank->stream))
-			motors_start_bank(bank, bank->clock_hz / bits_hz);
-	}
+	phase = RESTING; /* the interrupt of a stream that is ended finds nothing to do */
+	motors_start_timer();
+	for (uint32_t i = 0; i < setup.ports; ++i)
+		if (dma_busy(ports[i].stream))
+			(void)dma_stop(ports[i].stream);
+	motors_forget();
 }
 
 uint32_t motors_restarts(void *context)
@@ -167,58 +211,107 @@ uint32_t motors_restarts(void *context)
 	return restarts;
 }
 
-/* Requests are off while the stream starts, and the counter restarts a bit, so that no update falls in between: else
- * one bank's motors would get a bit later than the others. The lines are low meanwhile. */
-static void motors_send(const struct bank *bank)
+/* From the next update on TIM1 asks for a word or sample of each port, every `ticks`. */
+static void motors_pace(uint32_t ticks)
 {
-	TIM_DIER(bank->timer) &= ~bank->request;
-	TIM_CNT(bank->timer) = 0;
-	dma_start(bank->stream, bank->slots, SLOTS * bank->width);
-	TIM_DIER(bank->timer) |= bank->request;
+	TIM_ARR(TIM1) = ticks - 1u;
+	TIM_CNT(TIM1) = 0; /* no update falls between this and the next line: all ports begin at the same one */
+	TIM_DIER(TIM1) = setup.requests;
 }
 
-/* A motor's pulses, every `width` words. Unrolled it is three instructions a bit, for every motor and frame. */
-static inline __attribute__((always_inline)) void motors_fill(uint32_t *slots, uint32_t width, uint32_t frame,
-							      const struct pulse *pulse)
+/* The frame's last word is written: of the streams that are asked at the same time the one with the highest number comes
+ * last (RM0431 8.3.4, arbiter). If another one has not ended nobody listens, and the writes find it stuck. */
+void motors_sent_handler(void)
 {
-	const uint32_t zero = pulse->zero, more = pulse->more;
+	dma_clear(ports[setup.last].stream);
+	barrier(); /* cleared before the handler can return, or it would run twice */
+	if (phase != SENDING || motors_moving())
+		return;
+	TIM_DIER(TIM1) = 0;
+	for (uint32_t i = 0; i < setup.ports; ++i) {
+		const struct motor_port *const self = &ports[i];
 
-#pragma GCC unroll 16
-	for (uint32_t bit = 0; bit < FRAME_BITS; ++bit)
-		slots[bit * width] = zero + (frame >> (FRAME_BITS - 1u - bit) & 1u) * more;
+		GPIO_MODER(self->port) &= ~self->modes; /* inputs, with the pull-up that they have */
+		dma_setup(self->stream, &GPIO_IDR(self->port), DMA_FROM_PERIPHERAL, DMA_HALF_WORD, DMA_VERY_HIGH, 0);
+		dma_start(self->stream, motor_samples[i], 2u * setup.speed->pairs);
+	}
+	motors_pace(setup.speed->sample_ticks);
+	phase = LISTENING;
 }
 
-/* The pulses of a motor that is alone in its bank, of which a quad has none: shorter in ITCM, half as many instructions more. */
-static void motors_fill_alone(uint32_t *slots, uint32_t frame, const struct pulse *pulse)
+void motors_read(void *context, uint16_t words[NF_MOTOR_COUNT_MAX])
 {
-	const uint32_t zero = pulse->zero, more = pulse->more;
+	if (phase == LISTENING && !motors_moving()) {
+		uint16_t lines[NF_BOARD_MOTOR_PORTS_MAX * DSHOT_PORT_LINES];
 
-#pragma GCC unroll 4
-	for (uint32_t bit = 0; bit < FRAME_BITS; ++bit)
-		slots[bit] = zero + (frame >> (FRAME_BITS - 1u - bit) & 1u) * more;
+		barrier();
+		for (uint32_t i = 0; i < setup.ports; ++i)
+			dshot_telemetry_decode(motor_samples[i], setup.speed->pairs, setup.speed->earliest,
+					       ports[i].pins, lines + DSHOT_PORT_LINES * i);
+		for (uint32_t i = 0; i < setup.motors; ++i)
+			answers[i] = lines[setup.places[i]];
+		phase = RESTING;
+	}
+	for (uint32_t i = 0; i < NF_MOTOR_COUNT_MAX; ++i)
+		words[i] = answers[i];
 }
 
-void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
+/* Two frames side by side. */
+struct pair {
+	uint32_t even, odd; /* motors 1 and 3 of a group, 2 and 4 */
+};
+#define BOTH 0x00010001u
+
+/* The words of a port that differ from frame to frame. */
+static void motors_fill(const struct motor_port *self, uint32_t *words, const struct pair pairs[GROUPS])
 {
-	if (motors_busy()) {
+	const uint32_t end = setup.telemetry ? 0u : 16u; /* of BSRR: sets, or resets */
+
+	for (uint32_t bit = FRAME_BITS; bit-- > 0;) {
+		uint32_t pins = 0;
+
+		for (uint32_t group = 0; GROUP * group < setup.motors; ++group) {
+			const uint32_t bits = (pairs[group].even >> bit & BOTH) | (pairs[group].odd >> bit & BOTH) << 1;
+
+			pins |= self->zeros[group][(bits | bits >> 14) % (1u << GROUP)];
+		}
+		words[1] = pins << end;
+		words += WORDS_A_BIT;
+	}
+}
+
+bool motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
+{
+	struct pair pairs[GROUPS] = { { 0 } };
+
+	if (setup.ports == 0u)
+		return false;
+	if (phase == SENDING || motors_moving()) {
 		if (++writes_dropped % STUCK_WRITES == 0)
 			motors_restart();
-		return;
+		return false;
 	}
 	writes_dropped = 0;
-	for (uint32_t i = 0; i < banks_in_use; ++i) {
-		const struct bank *const bank = &banks[i];
+	for (uint32_t motor = 0; motor < setup.motors; ++motor) {
+		struct pair *const pair = &pairs[motor / GROUP];
+		const uint32_t frame = dshot_frame(motor < count ? dshot[motor] : NF_DSHOT_STOP, telemetry,
+						   setup.telemetry);
 
-		for (uint32_t motor = 0; motor < bank->width; ++motor) {
-			const uint32_t index = bank->first + motor;
-			const uint32_t frame = dshot_frame(index < count ? dshot[index] : NF_DSHOT_STOP, telemetry,
-							   false);
-
-			if (bank->width == BURST_WIDTH)
-				motors_fill(bank->slots + motor, BURST_WIDTH, frame, &pulses[i]);
-			else
-				motors_fill_alone(bank->slots, frame, &pulses[i]);
-		}
-		motors_send(bank);
+		*(motor % 2u == 0u ? &pair->even : &pair->odd) |= frame << motor % GROUP / 2u * 16u;
 	}
+	TIM_DIER(TIM1) = 0;
+	for (uint32_t i = 0; i < setup.ports; ++i) {
+		const struct motor_port *const self = &ports[i];
+
+		motors_fill(self, motor_words[i], pairs);
+		if (setup.telemetry)
+			GPIO_MODER(self->port) |= self->modes; /* outputs again: at rest, as the last word left them */
+		dma_clear(self->stream); /* the end of the samples is no frame's */
+		dma_setup(self->stream, &GPIO_BSRR(self->port), DMA_TO_PERIPHERAL, DMA_WORD, DMA_VERY_HIGH,
+			  setup.telemetry && i == setup.last ? DMA_SCR_TCIE : 0u);
+		dma_start(self->stream, motor_words[i], setup.words);
+	}
+	phase = setup.telemetry ? SENDING : RESTING;
+	motors_pace(setup.speed->word_ticks);
+	return true;
 }

@@ -1,7 +1,6 @@
 #include "hal/stm32f7/devices/devices.h"
 
-#include "board.h"
-#include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/core/board.h"
 #include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/peripherals/uart.h"
 #include "nf_contract.h"
@@ -32,8 +31,8 @@ static const struct format {
 };
 
 /* Touched by the sample handler alone, once started. */
-static struct uart_ring ring = { .stream = BOARD_RECEIVER_DMA_RX, .bytes = receiver_ring_bytes };
-static bool started;
+static struct uart_ring ring = { .bytes = receiver_ring_bytes };
+static uint32_t registers; /* of its UART; 0: not started */
 static bool drops_broken;
 static bool frame_broken; /* drop bytes until the line rests: a frame is sent without a pause in it */
 
@@ -42,20 +41,23 @@ void receiver_line_start(uint32_t protocol)
 	if (protocol >= sizeof formats / sizeof formats[0])
 		return;
 	const struct format *const format = &formats[protocol];
+	const struct uart uart = uart_of(&board.receiver);
 
-	gpio_alternate(BOARD_RECEIVER_RX, BOARD_RECEIVER_AF, format->rest, GPIO_SLOW);
-	uart_ring_start(&ring, BOARD_RECEIVER_UART);
-	uart_configure(BOARD_RECEIVER_UART, BOARD_RECEIVER_UART_HZ, format->baud, format->cr1 | USART_CR1_RE,
-		       format->cr2, USART_CR3_DMAR);
+	if (uart.at == 0u)
+		return;
+	ring.stream = stream_of(board.receiver.dma_rx);
+	gpio_alternate(pin_of(board.receiver.rx), board.receiver.rx_function, format->rest, GPIO_SLOW);
+	uart_ring_start(&ring, uart);
+	uart_configure(uart, format->baud, format->cr1 | USART_CR1_RE, format->cr2, USART_CR3_DMAR);
 	drops_broken = format->drops_broken;
-	started = true;
+	registers = uart.at;
 }
 
 /* Is what has just been read part of a frame with a broken byte? */
 static bool receiver_line_broken(uint32_t status)
 {
 	if ((status & (USART_ISR_PE | USART_ISR_FE)) != 0u) {
-		USART_ICR(BOARD_RECEIVER_UART) = USART_ICR_PECF | USART_ICR_FECF | USART_ICR_IDLECF;
+		USART_ICR(registers) = USART_ICR_PECF | USART_ICR_FECF | USART_ICR_IDLECF;
 		frame_broken = true;
 		return true;
 	}
@@ -68,9 +70,9 @@ static bool receiver_line_broken(uint32_t status)
 
 size_t receiver_line_read(void *context, uint8_t *bytes, size_t capacity)
 {
-	if (!started)
+	if (registers == 0u)
 		return 0;
-	const uint32_t status = USART_ISR(BOARD_RECEIVER_UART);
+	const uint32_t status = USART_ISR(registers);
 	const size_t count = uart_ring_read(&ring, bytes, capacity);
 
 	return drops_broken && receiver_line_broken(status) ? 0 : count;

@@ -1,15 +1,20 @@
 #include "hal/stm32f7/devices/devices.h"
 
-#include "board.h"
 #include "common/printer.h"
+#include "hal/stm32f7/core/board.h"
 #include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/peripherals/otg.h"
 #include "nf_contract.h"
 
 #define SETTLED_MS 20u /* the cable's supply bounces for so long when it is plugged in; pulled, it counts at once */
-#define AWAKE_MS 1u    /* behind something that happened more may follow at once */
+#define UNPLUGGED_MS 20u
+#define UNSEEN_MS 3000u /* in which a host finds what it is shown, and after which one that pauses does not come back */
+#define AWAKE_MS 1u /* behind something that happened more may follow at once */
 #define SERIAL_DIGITS 12
+#define USB_FUNCTION 10u /* alternate function of the pins below (data sheet), which are the chip's */
+#define USB_DM ((struct pin){ GPIOA, 11 })
+#define USB_DP ((struct pin){ GPIOA, 12 })
 #define SERIAL_BYTES (SERIAL_DIGITS + 2u) /* with what a printer keeps free */
 
 /* The background's alone. */
@@ -21,14 +26,26 @@ static struct {
 	char serial[SERIAL_BYTES + 1u];
 	bool served;
 	bool connected;
+	bool heard; /* a host has been there */
 	uint32_t unpowered_ms; /* when the supply was found missing last */
-	uint32_t busy_ms;      /* when something happened last */
+	uint32_t busy_ms; /* when something happened last */
 } bus;
 
-/* A loose pin reads low. */
-bool usb_bus_powered(void)
+/* A loose pin reads low. Most boards do not have it: there the cable counts as plugged in, and one that is pulled out looks like
+ * a host that pauses. */
+static bool usb_bus_powered(void)
 {
-	return (GPIO_IDR(BOARD_USB_VBUS.port) >> BOARD_USB_VBUS.number & 1u) != 0u;
+	return gpio_read(pin_of(board.usb_supply), true);
+}
+
+uint32_t usb_bus_patience_ms(void)
+{
+	return pin_of(board.usb_supply).port != 0u ? UNPLUGGED_MS : UNSEEN_MS;
+}
+
+bool usb_bus_seen(void)
+{
+	return pin_of(board.usb_supply).port != 0u ? usb_bus_powered() : bus.heard && otg_awake();
 }
 
 /* The number by which the chip's boot loader, and other firmware, names the board: ST's examples make it of the unique id so
@@ -51,9 +68,9 @@ const struct usb_controller *usb_bus_start(void)
 {
 	RCC_AHB2ENR |= RCC_AHB2ENR_OTGFSEN;
 	(void)RCC_AHB2ENR;
-	gpio_input(BOARD_USB_VBUS, GPIO_PULL_DOWN);
-	gpio_alternate(BOARD_USB_DM, BOARD_USB_AF, GPIO_FLOATING, GPIO_FAST);
-	gpio_alternate(BOARD_USB_DP, BOARD_USB_AF, GPIO_FLOATING, GPIO_FAST);
+	gpio_input(pin_of(board.usb_supply), GPIO_PULL_DOWN);
+	gpio_alternate(USB_DM, USB_FUNCTION, GPIO_FLOATING, GPIO_FAST);
+	gpio_alternate(USB_DP, USB_FUNCTION, GPIO_FLOATING, GPIO_FAST);
 	bus.controller = otg_start();
 	bus.unpowered_ms = time_ms();
 	return bus.controller;
@@ -93,7 +110,9 @@ bool usb_bus_step(void)
 	if (!bus.served)
 		return false;
 	usb_bus_watch(now);
-	if (bus.connected && otg_poll(&bus.events))
+	if (bus.connected && otg_poll(&bus.events)) {
 		bus.busy_ms = now;
+		bus.heard = true;
+	}
 	return bus.connected && now - bus.busy_ms <= AWAKE_MS;
 }

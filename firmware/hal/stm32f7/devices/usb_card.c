@@ -2,15 +2,15 @@
 
 #include <string.h>
 
-#include "board.h"
+#include "common/printer.h"
+#include "hal/stm32f7/core/board.h"
 #include "hal/stm32f7/core/core.h"
-#include "hal/stm32f7/core/gpio.h"
+#include "hal/stm32f7/core/led.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
 #include "storage/card/sd_card.h"
 #include "usb/usb_disk.h"
 
-#define UNPLUGGED_MS 20u /* without supply: the cable is out */
 #define EJECTED_MS 1000u /* the host takes its leave */
 #define BLINK_MS 512u
 
@@ -57,30 +57,35 @@ static bool usb_card_over(uint32_t *plugged_ms, uint32_t *wanted_ms)
 {
 	const uint32_t now = time_ms();
 
-	if (usb_bus_powered())
+	if (usb_bus_seen())
 		*plugged_ms = now;
 	if (!usb_disk.ejected)
 		*wanted_ms = now;
-	return now - *plugged_ms > UNPLUGGED_MS || now - *wanted_ms > EJECTED_MS;
+	return now - *plugged_ms > usb_bus_patience_ms() || now - *wanted_ms > EJECTED_MS;
 }
 
 void usb_card_run(void)
 {
 	const struct usb_controller *const controller = usb_bus_start();
+	const struct spi_bus *const card = log_spi_open();
+	char product[sizeof board.name + sizeof " SD card"];
 	uint32_t plugged_ms = time_ms(), wanted_ms = plugged_ms;
 
-	if (controller == NULL)
+	if (controller == NULL || card == NULL)
 		return;
-	sd_card_init(&usb_card, card_spi_open());
+	sd_card_init(&usb_card, card);
 	usb_disk_init(&usb_disk, usb_bus_device(), controller, &medium, &usb_disk_function);
-	usb_bus_serve(&usb_disk_function, BOARD_TARGET " SD card");
+	struct printer p = printer_init(product, sizeof product - 1u);
+	printer_say(&p, "%s SD card", board.name);
+	*p.at = '\0';
+	usb_bus_serve(&usb_disk_function, product);
 	while (!usb_card_over(&plugged_ms, &wanted_ms)) {
 		const bool busy = usb_bus_step();
 
 		sd_card_step(&usb_card);
 		usb_disk_step(&usb_disk);
 		watchdog_feed();
-		gpio_write(BOARD_LED0, (time_ms() & BLINK_MS) != 0u);
+		led_light((time_ms() & BLINK_MS) == 0u);
 		if (!busy && usb_disk.stage == USB_DISK_COMMAND)
 			wait_for_interrupt();
 	}

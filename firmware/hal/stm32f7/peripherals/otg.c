@@ -243,10 +243,15 @@ static void otg_take_sent(const struct usb_events *events)
 	}
 }
 
+bool otg_awake(void)
+{
+	return (OTG_DSTS & OTG_DSTS_SUSPSTS) == 0u;
+}
+
 /* No packet for 3 ms; what ends it is seen by the state alone. */
 static void otg_watch_pause(const struct usb_events *events, uint32_t status)
 {
-	const bool paused = (OTG_DSTS & OTG_DSTS_SUSPSTS) != 0u;
+	const bool paused = !otg_awake();
 
 	if ((status & OTG_GINTSTS_USBSUSP) != 0u)
 		OTG_GINTSTS = OTG_GINTSTS_USBSUSP;

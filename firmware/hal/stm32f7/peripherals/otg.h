@@ -14,5 +14,8 @@ const struct usb_controller *otg_start(void);
 /* Shows the host a device, or no longer. False: it cannot yet; ask again. */
 bool otg_connect(bool connected);
 
+/* Is there traffic on the bus, as a host makes every millisecond? Not since 3 ms where the cable is out. */
+bool otg_awake(void);
+
 /* Passes on what has happened since the last call, at most so much as the FIFOs hold. Returns whether anything has. */
 bool otg_poll(const struct usb_events *events);

@@ -1,20 +1,34 @@
 #include "hal/stm32f7/peripherals/uart.h"
 
+#include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/registers.h"
 
-void uart_configure(uint32_t uart, uint32_t clock_hz, uint32_t baud, uint32_t cr1, uint32_t cr2, uint32_t cr3)
+struct uart uart_of(const struct board_uart *told)
 {
-	USART_BRR(uart) = (clock_hz + baud / 2u) / baud; /* 16 samples a bit (RM0431 USART, baud rate) */
-	USART_CR2(uart) = cr2;
-	/* DMA takes every byte in time; without overrun detection reception never stops. */
-	USART_CR3(uart) = cr3 | USART_CR3_OVRDIS;
-	USART_CR1(uart) = cr1;
-	USART_CR1(uart) = cr1 | USART_CR1_UE;
+	static const struct uart uarts[] = {
+		{ USART1, CLOCK_APB2_HZ }, { USART2, CLOCK_APB1_HZ }, { USART3, CLOCK_APB1_HZ },
+		{ UART4, CLOCK_APB1_HZ },  { UART5, CLOCK_APB1_HZ },  { USART6, CLOCK_APB2_HZ },
+	};
+	const uint32_t index = told->number - 1u;
+
+	if (index >= sizeof uarts / sizeof uarts[0] || stream_of(told->dma_rx).at == 0u)
+		return (struct uart){ 0 };
+	return uarts[index];
 }
 
-void uart_ring_start(const struct uart_ring *ring, uint32_t uart)
+void uart_configure(struct uart uart, uint32_t baud, uint32_t cr1, uint32_t cr2, uint32_t cr3)
 {
-	dma_setup(ring->stream, &USART_RDR(uart), DMA_FROM_PERIPHERAL, DMA_BYTE, DMA_LOW, DMA_SCR_CIRC);
+	USART_BRR(uart.at) = (uart.clock_hz + baud / 2u) / baud; /* 16 samples a bit (RM0431 USART, baud rate) */
+	USART_CR2(uart.at) = cr2;
+	/* DMA takes every byte in time; without overrun detection reception never stops. */
+	USART_CR3(uart.at) = cr3 | USART_CR3_OVRDIS;
+	USART_CR1(uart.at) = cr1;
+	USART_CR1(uart.at) = cr1 | USART_CR1_UE;
+}
+
+void uart_ring_start(const struct uart_ring *ring, struct uart uart)
+{
+	dma_setup(ring->stream, &USART_RDR(uart.at), DMA_FROM_PERIPHERAL, DMA_BYTE, DMA_LOW, DMA_SCR_CIRC);
 	dma_start(ring->stream, ring->bytes, UART_RING_BYTES);
 }
 

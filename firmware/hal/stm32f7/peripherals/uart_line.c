@@ -1,7 +1,6 @@
 #include "hal/stm32f7/peripherals/uart_line.h"
 
 #include "hal/stm32f7/core/registers.h"
-#include "hal/stm32f7/peripherals/uart.h"
 
 _Static_assert((UART_LINE_RING_BYTES & (UART_LINE_RING_BYTES - 1u)) == 0u, "counts of bytes wrap at 2^32");
 
@@ -70,17 +69,17 @@ static bool uart_line_sending(const void *context)
 {
 	const struct uart_line *const line = context;
 
-	return line->filled != 0u || dma_busy(line->tx) || (USART_ISR(line->uart) & USART_ISR_TC) == 0u;
+	return line->filled != 0u || dma_busy(line->tx) || (USART_ISR(line->uart.at) & USART_ISR_TC) == 0u;
 }
 
-struct serial_line uart_line_start(struct uart_line *line, uint32_t clock_hz, uint32_t baud)
+struct serial_line uart_line_start(struct uart_line *line, uint32_t baud)
 {
-	const uint32_t uart = line->uart;
+	const struct uart uart = line->uart;
 
-	dma_setup(line->rx, &USART_RDR(uart), DMA_FROM_PERIPHERAL, DMA_BYTE, DMA_LOW, DMA_SCR_CIRC);
+	dma_setup(line->rx, &USART_RDR(uart.at), DMA_FROM_PERIPHERAL, DMA_BYTE, DMA_LOW, DMA_SCR_CIRC);
 	dma_start(line->rx, line->ring, UART_LINE_RING_BYTES);
-	dma_setup(line->tx, &USART_TDR(uart), DMA_TO_PERIPHERAL, DMA_BYTE, DMA_LOW, 0);
-	uart_configure(uart, clock_hz, baud, USART_CR1_RE | USART_CR1_TE, 0, USART_CR3_DMAR | USART_CR3_DMAT);
+	dma_setup(line->tx, &USART_TDR(uart.at), DMA_TO_PERIPHERAL, DMA_BYTE, DMA_LOW, 0);
+	uart_configure(uart, baud, USART_CR1_RE | USART_CR1_TE, 0, USART_CR3_DMAR | USART_CR3_DMAT);
 	return (struct serial_line){
 		.context = line,
 		.look = uart_line_look,

@@ -6,14 +6,14 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "hal/stm32f7/peripherals/dma.h"
+#include "hal/stm32f7/peripherals/uart.h"
 #include "port/serial_line.h"
 
 #define UART_LINE_RING_BYTES 4096u /* 356 ms at 115200 baud, 44 ms at 921600; input waits there while output does */
 #define UART_LINE_SEND_BYTES 1024u
 
 struct uart_line {
-	uint32_t uart;
+	struct uart uart;
 	struct dma_stream rx, tx;
 	volatile uint8_t *ring; /* [UART_LINE_RING_BYTES], a DMA_BUFFER_SLOW */
 	uint8_t (*buffers)[UART_LINE_SEND_BYTES]; /* [2], likewise */
@@ -26,4 +26,4 @@ struct uart_line {
 /* 8N1 both ways. The pins are set up; what came before is lost. Returns the line, which `line` must outlive. Bytes count as
  * lost where more than half a ring came since the last look, or more than a ring since the last read: look at least every
  * UART_LINE_RING_BYTES / 2 bytes' time. */
-struct serial_line uart_line_start(struct uart_line *line, uint32_t clock_hz, uint32_t baud);
+struct serial_line uart_line_start(struct uart_line *line, uint32_t baud);

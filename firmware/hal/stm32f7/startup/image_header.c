@@ -1,7 +1,6 @@
-/* The header of the image, behind its vectors. Its size comes from the linker; toolchain/image/stamp.py writes build and CRC into
- * the linked image. */
+/* The header of the image, behind its vectors. Its size comes from the linker; toolchain/image/stamp.py writes board, build
+ * and CRC into the linked image. */
 
-#include "board.h"
 #include "nf_contract.h"
 #include "policy.h"
 
@@ -14,7 +13,6 @@ __attribute__((section(".image_header"), used)) const struct nf_image_header ima
 	.layout = NF_IMAGE_LAYOUT,
 	.image_bytes = (uint32_t)image_bytes,
 	.version = NF_VERSION,
-	.board = BOARD_TARGET,
 	.architecture_hash = POLICY_ARCHITECTURE_HASH,
 	.filters_hash = POLICY_FILTERS_HASH,
 	.control_rate_hz = POLICY_CONTROL_RATE_HZ,

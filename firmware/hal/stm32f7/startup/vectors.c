@@ -26,10 +26,25 @@ __attribute__((section(".vectors"), used)) const struct vector_table vectors = {
 		[TICK] = tick_handler,
 	},
 	.interrupt = {
-		[0 ... IRQ_EXTI3 - 1] = fault_handler,
-		[IRQ_EXTI3] = gyro_edge_handler,
-		[IRQ_EXTI3 + 1 ... IRQ_DMA2_STREAM2 - 1] = fault_handler,
-		[IRQ_DMA2_STREAM2] = gyro_sample_handler,
-		[IRQ_DMA2_STREAM2 + 1 ... IRQ_COUNT - 1] = fault_handler,
+		/* Of those of the gyro a board enables one each, by where it has the chip. */
+		[0 ... IRQ_EXTI0 - 1] = fault_handler,
+		[IRQ_EXTI0 ... IRQ_EXTI4] = gyro_edge_handler,
+		[IRQ_DMA1_STREAM0] = gyro_sample_handler, /* SPI3 */
+		[IRQ_DMA1_STREAM1] = fault_handler,
+		[IRQ_DMA1_STREAM2] = gyro_sample_handler, /* SPI3 */
+		[IRQ_DMA1_STREAM3] = gyro_sample_handler, /* SPI2 */
+		[IRQ_DMA1_STREAM4 ... IRQ_EXTI9_5 - 1] = fault_handler,
+		[IRQ_EXTI9_5] = gyro_edge_handler,
+		[IRQ_EXTI9_5 + 1 ... IRQ_EXTI15_10 - 1] = fault_handler,
+		[IRQ_EXTI15_10] = gyro_edge_handler,
+		[IRQ_EXTI15_10 + 1 ... IRQ_DMA2_STREAM0 - 1] = fault_handler,
+		[IRQ_DMA2_STREAM0] = gyro_sample_handler, /* SPI1 */
+		[IRQ_DMA2_STREAM1] = motors_sent_handler, /* TIM1, as 3, 4 and 6; one of them is enabled */
+		[IRQ_DMA2_STREAM2] = gyro_sample_handler, /* SPI1 */
+		[IRQ_DMA2_STREAM3] = motors_sent_handler,
+		[IRQ_DMA2_STREAM4] = motors_sent_handler,
+		[IRQ_DMA2_STREAM4 + 1 ... IRQ_DMA2_STREAM6 - 1] = fault_handler,
+		[IRQ_DMA2_STREAM6] = motors_sent_handler,
+		[IRQ_DMA2_STREAM6 + 1 ... IRQ_COUNT - 1] = fault_handler,
 	},
 };

@@ -13,9 +13,8 @@
 /* Bytes that two ordinary pauses of a card, 50 ms each, need at 125 KB/s; a multiple of a block. */
 #define CARD_RING_BYTES 16384u
 
+/* What is used most comes first, where short instructions reach it. */
 struct card_log {
-	struct sd_card card;
-	struct card_files files;
 	uint8_t state; /* of the log that is written */
 	uint8_t error; /* enum nf_log_error */
 	uint8_t owner; /* who the card works for */
@@ -29,6 +28,8 @@ struct card_log {
 	uint32_t written; /* sectors that the card has */
 	uint32_t opened; /* [ms] when this sequence of writes began */
 	uint32_t wanted; /* block that a peer has asked for, or SD_NO_BLOCK */
+	struct sd_card card;
+	struct card_files files;
 	uint8_t ring[CARD_RING_BYTES];
 };
 

@@ -3,6 +3,5 @@
 from neuroflight.sim.board.devices.sd_card.card import SdCard
 from neuroflight.sim.board.devices.sd_card.delays import CardTiming
 from neuroflight.sim.board.devices.sd_card.faults import CardFault, Cut
-from neuroflight.sim.board.devices.sd_card.slot import CardSlot
 
-__all__ = ["CardFault", "CardSlot", "CardTiming", "Cut", "SdCard"]
+__all__ = ["CardFault", "CardTiming", "Cut", "SdCard"]

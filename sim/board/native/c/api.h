@@ -8,13 +8,18 @@
 enum {
 	NO_ADDRESS = 0xFFFFFFFF,
 	NO_FRAME = 0xFFFFFFFF,
-	PYTHON_SOURCE = 34, /* sources from here on are Python's */
+	PYTHON_SOURCE = 36, /* sources from here on are Python's */
 	GYRO_VALUES = 7,    /* accelerometer, temperature, gyro */
 	GYRO_BYTES = 14,
+	ESC_EDGES = 32,     /* of a frame: 16 pulses */
+	ANSWER_EDGES = 22,  /* of an answer at most: it begins, 20 bits, it ends */
+	NO_ANSWER = 0xFFFF, /* of an ESC: it stays silent */
 };
 
+enum chip_kind { CHIP_ABSENT, CHIP_GYRO, CHIP_LOG }; /* an empty place; the gyro chip; the chip that keeps logs */
+enum stuck { STUCK_NOT, STUCK_LOW, STUCK_HIGH };     /* an ESC's line while it is not driven */
 enum kind { PORT, SYSCFG, EXTI, DMA, SPI, TIMER, KINDS };
-enum source { SPI1_RX, SPI1_TX, SPI3_RX, SPI3_TX, TIMER_SOURCE }; /* then five a timer: update, channels 1 to 4 */
+enum source { SPI1_RX, SPI1_TX, SPI2_RX, SPI2_TX, SPI3_RX, SPI3_TX, TIMER_SOURCE }; /* then five a timer: update, channels 1 to 4 */
 
 /* What C asks the class of a device, which raises an error for what is wrong. */
 enum query {
@@ -28,10 +33,12 @@ enum query {
 	QUERY_SEND,     /* SPI: is about to send */
 	QUERY_BUSY,     /* SPI: CR1 changed meanwhile */
 	QUERY_FULL,     /* SPI: DR written into a full FIFO */
+	QUERY_SELECTED, /* SPI; pins of two chips, port << 4 | number: both are selected */
 	QUERY_OUTPUT,   /* timer; channel: makes pulses */
 	QUERY_TARGET,   /* timer; request: feeds no register that it may */
-	QUERY_COMPARE,  /* timer; request: made at compare */
+	QUERY_COMPARE,  /* timer; request: made at compare, and feeds no port */
 	QUERY_DMAR,     /* timer; write: DMAR by the program */
+	QUERY_DRIVEN,   /* port; pin, cycles since the motor's frame: driven by the program and by an ESC */
 };
 
 /* How the program may access a register. */
@@ -40,15 +47,33 @@ struct rule {
 	uint8_t known, sizes, readable, writeable;
 };
 
-/* The ESC on a channel. Python decodes whatever is no plain frame, and the first one. */
+/* The ESC on a pin. Python decodes whatever is no plain frame, and the first one. */
 struct esc {
 	int64_t rest_since;         /* end of the last frame */
 	uint64_t frames;
 	uint64_t last_cycle;        /* of the last frame */
 	uint32_t last;              /* its value and telemetry bit, or NO_FRAME */
-	uint32_t protocol;          /* 300 or 600; 0: whatever the first bit says */
+	uint32_t protocol;          /* 150, 300 or 600; 0: whatever the first frame says */
 	uint32_t shortest, longest; /* of a bit [cycles]; longest 0: nothing is known yet */
 	uint32_t motor;             /* from 0 */
+	uint8_t port, pin;
+	uint8_t inverted;           /* the line rests high: bidirectional; known with the protocol */
+	uint8_t level, rest;        /* of the line, without what the ESC drives: now, and before the pulses under way */
+	uint8_t output;             /* the program drives the pin, */
+	uint64_t output_since;      /* or does not, since then */
+	uint32_t edge_count;        /* of a frame that is not complete yet */
+	uint64_t edges[ESC_EDGES];
+	/* Its answer to a bidirectional frame, as it is set: */
+	uint16_t answer;            /* word of 12 bits, or NO_ANSWER */
+	uint8_t stuck;              /* enum stuck */
+	uint32_t delay, jitter;     /* from the frame's end; of each edge at most, to both sides [cycles] */
+	double bit_factor;          /* of its clock: 1.01 is 1 % slow */
+	double noise, silence;      /* share of samples that are wrong; of frames that are not answered */
+	uint64_t random;
+	/* and the latest one: */
+	uint64_t answers, answer_end;
+	uint32_t answer_edge_count; /* the first one falls */
+	uint64_t answer_edges[ANSWER_EDGES];
 };
 
 struct frame {
@@ -68,6 +93,10 @@ struct gyro {
 	int8_t gyro_shift, accel_shift; /* full scale above the one that is set, as a power of two; negative: below */
 	uint8_t interrupt, reads;
 	uint8_t silent;         /* no data-ready pulses, as injected by a fault campaign */
+	uint8_t data_at;        /* the first register of the data */
+	uint8_t order[GYRO_VALUES]; /* places in `measured` of the values, in the order of the data */
+	uint8_t little;         /* a value's lower byte comes first */
+	uint8_t hidden;         /* other registers are at the data's addresses now */
 };
 
 /* What the SD card answers while nothing but 0xFF is sent: C does not ask Python for it until `until`. */
@@ -93,8 +122,7 @@ typedef void (*exchange_callback)(uint8_t *bytes, uint32_t count, uint32_t trans
 /* Of the bytes, the first begins at `cycle`, and each lasts `length` cycles at `hz`. */
 typedef void (*card_callback)(uint8_t *bytes, uint32_t count, uint64_t cycle, uint32_t length, double hz, uint32_t mode);
 typedef void (*errors_callback)(uint8_t *bytes, uint32_t count);
-typedef void (*pulses_callback)(uint32_t device, uint32_t channel, uint64_t start, uint64_t length, uint32_t count,
-	const uint32_t *highs);
+typedef void (*train_callback)(uint32_t motor, uint32_t count, const uint64_t *edges, bool rest);
 typedef void (*frames_callback)(const struct frame *frames, uint32_t count);
 typedef void (*pin_callback)(uint32_t device, uint32_t pin, bool level);
 typedef void (*sample_callback)(uint64_t number);
@@ -106,7 +134,7 @@ struct native_callbacks {
 	exchange_callback exchange; /* bytes that C does not answer for the gyro chip */
 	card_callback card;         /* bytes between the program and the SD card that C does not answer */
 	errors_callback errors;     /* bit errors on received bytes, if there are any */
-	pulses_callback pulses;     /* of a channel, that are no plain frame */
+	train_callback train;       /* edges on a motor's line, that are no plain frame, and the level before them */
 	frames_callback frames;     /* frames that C has taken, if asked for */
 	pin_callback pin;           /* a watched pin has another level */
 	sample_callback sample;     /* the gyro chip is about to sample, if asked for */
@@ -154,13 +182,19 @@ uint32_t native_available(struct native *n, uint32_t source);  /* items until th
 uint32_t native_until_flag(struct native *n, uint32_t source); /* items until it is half through or at its end */
 uint32_t native_target(struct native *n, uint32_t source);     /* peripheral address */
 bool native_circular(struct native *n, uint32_t source);
+bool native_to_memory(struct native *n, uint32_t source);
 /* Whether a stream for it is enabled that interrupts. */
 bool native_rings(const struct native *n, uint32_t source);
 /* Moves items from or to memory; returns how many there were. */
 uint32_t native_take(struct native *n, uint32_t source, uint32_t *items, uint32_t count);
 uint32_t native_give(struct native *n, uint32_t source, uint32_t *items, uint32_t count);
 
-/* The SD card behind SPI3; none is fitted until Python asks for it here. */
+/* A chip of enum chip_kind, or an empty place for one, behind SPI `spi` (from 0), selected by a pin. Returns its number. */
+uint32_t native_chip(struct native *n, uint32_t kind, uint32_t spi, uint32_t port, uint32_t pin);
+/* The pin that the SPI's chips answer on. */
+void native_miso(struct native *n, uint32_t spi, uint32_t port, uint32_t pin);
+
+/* The SD card in the place CHIP_LOG; none is fitted until Python asks for it here. */
 struct card *native_card(struct native *n);
 /* Whether the card is selected, and the number of its transaction. */
 bool native_card_selected(const struct native *n);
@@ -168,16 +202,22 @@ uint32_t native_card_transaction(const struct native *n);
 /* Bytes to and from the card that have passed until now are handed over. */
 void native_card_sync(struct native *n);
 
-/* Received bytes of SPI1 have bit errors. */
+/* Bytes received from the gyro chip have bit errors. */
 void native_bit_errors(struct native *n, bool any);
 
 /* The chip's alarms, the length of its data-ready pulse [cycles], and the fastest clock for its data. */
 struct gyro *native_gyro(struct native *n, uint32_t alarm, uint32_t fall_alarm, uint64_t pulse, double data_hz);
+/* Its data-ready line's pin. */
+void native_gyro_ready(struct native *n, uint32_t port, uint32_t pin);
 /* Whether `sample` is called from now on. */
 void native_hear_samples(struct native *n, bool on);
 
-/* The ESC of motor `motor` (from 0) is on channel 1 to 4 of timer `t`. */
-struct esc *native_esc(struct native *n, uint32_t motor, uint32_t t, uint32_t channel);
+/* The ESC of motor `motor` (from 0, in order) listens on a pin. */
+struct esc *native_esc(struct native *n, uint32_t motor, uint32_t port, uint32_t pin);
+/* Channel 1 to 4 of timer `t` may drive its pin. */
+void native_esc_timer(struct native *n, uint32_t motor, uint32_t t, uint32_t channel);
+/* It takes a frame that Python has decoded, and answers. */
+void native_esc_accept(struct native *n, uint32_t motor, uint64_t end, uint32_t data);
 /* What the ESCs of the first motors obey: their last values, 0 before any and after `silent` cycles without one. Returns
  * whether that is something else than `values` were before. */
 bool native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint16_t *values);

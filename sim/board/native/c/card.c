@@ -14,7 +14,7 @@ bool card_exchange(struct native *n, uint8_t *bytes, uint32_t count, uint64_t cy
 		memset(bytes, RELEASED, count);
 		return true;
 	}
-	if (card->transaction != n->s.spis[1].transaction || cycle + (uint64_t)count * length > card->until)
+	if (card->transaction != n->s.chips[n->log_chip].transaction || cycle + (uint64_t)count * length > card->until)
 		return false;
 	for (uint32_t i = 0; i < count; ++i)
 		if (bytes[i] != RELEASED)
@@ -31,10 +31,10 @@ struct card *native_card(struct native *n)
 
 bool native_card_selected(const struct native *n)
 {
-	return n->s.spis[1].selected;
+	return n->s.chips[n->log_chip].selected;
 }
 
 uint32_t native_card_transaction(const struct native *n)
 {
-	return n->s.spis[1].transaction;
+	return n->s.chips[n->log_chip].transaction;
 }

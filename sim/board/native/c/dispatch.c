@@ -1,5 +1,6 @@
 /* The native peripherals as a whole: the engine's accesses and alarms go to them or to Python; what Python sets up. */
 #include <stdlib.h>
+#include <string.h>
 
 #include "peripherals.h"
 
@@ -63,10 +64,7 @@ static void dispatch_write(void *user, uint32_t window, uint32_t offset, uint32_
 	}
 	++n->s.writes[device][word];
 	switch (n->kinds[device]) {
-	case PORT:
-		native_card_sync(n); /* it may be the card's select */
-		pins_write(n, (uint32_t)device, word, value);
-		break;
+	case PORT: pins_write(n, (uint32_t)device, word, value); break;
 	case EXTI: exti_write(n, word, value); break;
 	case DMA: dma_write(n, (uint32_t)device, word, value); break;
 	case SPI: spi_write(n, n->numbers[device], word, size, value); break;
@@ -128,6 +126,11 @@ struct native *native_new(struct engine *e, const struct callbacks *python, cons
 		n->s.spis[i].begun = NEVER;
 		n->s.spis[i].clock = 16000000;
 	}
+	for (uint32_t i = 0; i < SPIS; ++i)
+		n->miso[i].port = NO_PORT;
+	n->ready.port = NO_PORT;
+	n->gyro_chip = n->log_chip = CHIPS;
+	memset(n->esc_at, MOTORS, sizeof n->esc_at);
 	n->gyro_alarm = n->gyro_fall_alarm = UINT32_MAX;
 	n->watchdog_window = UINT32_MAX;
 	n->s.epoch = 1;
@@ -211,8 +214,8 @@ void native_clocks(struct native *n, uint64_t apb1, uint64_t apb2, uint64_t time
 
 void native_card_sync(struct native *n)
 {
-	if (n->s.spis[1].begun != NEVER)
-		spi_sync(n, 1);
+	if (n->log_chip < CHIPS && n->s.spis[n->places[n->log_chip].spi].begun != NEVER)
+		spi_sync(n, n->places[n->log_chip].spi);
 }
 
 void native_reset(struct native *n, uint32_t device)

@@ -173,6 +173,11 @@ uint32_t native_target(struct native *n, uint32_t source)
 	return dma_serving_word(n, source, S_PAR - S_CR);
 }
 
+bool native_to_memory(struct native *n, uint32_t source)
+{
+	return (dma_serving_word(n, source, 0) & CR_DIR) == 0u;
+}
+
 bool native_circular(struct native *n, uint32_t source)
 {
 	return (dma_serving_word(n, source, 0) & CR_CIRC) != 0u;
@@ -262,36 +267,57 @@ void native_lazy(struct native *n, uint32_t source)
 
 void native_set_source(struct native *n, uint32_t controller, uint32_t stream, uint32_t place, int32_t source)
 {
-	n->s.streams[controller][stream].valid[place] = source;
+	struct stream *const s = &n->s.streams[controller][stream];
+
+	s->setups[s->latest].sources[place] = source;
+}
+
+/* Is the stream set up as it was when Python found it right? Otherwise it is asked. */
+static const struct setup *dma_setup(struct native *n, uint32_t controller, uint32_t stream, bool ask)
+{
+	static const int32_t none[SHARED] = {-1, -1, -1};
+	struct stream *const s = &n->s.streams[controller][stream];
+	const uint32_t *const w = dma_words(n, controller, stream);
+	const uint32_t cr = w[0] & ~(uint32_t)CR_INTERRUPTS;
+
+	for (uint32_t i = 0; i < SETUPS && !ask; ++i) {
+		const struct setup *const known = &s->setups[i];
+
+		if (known->epoch == n->s.epoch && known->cr == cr && known->par == w[2] && known->m0ar == w[3] && known->ndtr == w[1])
+			return known;
+	}
+	s->latest = (s->latest + 1u) % SETUPS;
+	struct setup *const found = &s->setups[s->latest];
+
+	found->epoch = 0;
+	memcpy(found->sources, none, sizeof none);
+	native_query(n, QUERY_ENABLE, n->devices[DMA][controller], stream, 0);
+	if (!n->failed)
+		found->cr = cr, found->ndtr = w[1], found->par = w[2], found->m0ar = w[3], found->epoch = n->s.epoch;
+	return found;
 }
 
 static void dma_enable(struct native *n, uint32_t controller, uint32_t stream)
 {
 	struct stream *const s = &n->s.streams[controller][stream];
-	uint32_t *const w = dma_words(n, controller, stream);
-	const uint32_t cr = w[0] & ~(uint32_t)CR_INTERRUPTS;
+	const uint32_t *const w = dma_words(n, controller, stream);
 	const uint32_t flags = device_words(n, n->devices[DMA][controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
-	static const int32_t none[SHARED] = {-1, -1, -1};
 	const bool cached = w[3] >= SRAM_BASE && w[3] < SRAM_END && engine_cached(n->e, w[3]);
 
 	if (engine_stored(n->e)) {
 		native_query(n, QUERY_BARRIER, n->devices[DMA][controller], stream, 0);
 		return;
 	}
-	if (cached || (flags & FLAGS) != 0u || s->epoch != n->s.epoch || s->cr != cr || s->par != w[2] || s->m0ar != w[3] ||
-	    s->ndtr != w[1]) {
-		memcpy(s->valid, none, sizeof none);
-		native_query(n, QUERY_ENABLE, n->devices[DMA][controller], stream, 0);
-		if (n->failed)
-			return;
-		s->cr = cr, s->ndtr = w[1], s->par = w[2], s->m0ar = w[3], s->epoch = n->s.epoch;
-	}
+	const struct setup *const setup = dma_setup(n, controller, stream, cached || (flags & FLAGS) != 0u);
+
+	if (n->failed)
+		return;
 	/* What has passed until now passed without the stream. */
-	if (s->valid[0] >= PYTHON_SOURCE)
-		n->callbacks.source((uint32_t)s->valid[0], true);
+	if (setup->sources[0] >= PYTHON_SOURCE)
+		n->callbacks.source((uint32_t)setup->sources[0], true);
 	else
-		dma_drive(n, s->valid[0]);
-	memcpy(s->sources, s->valid, sizeof s->sources);
+		dma_drive(n, setup->sources[0]);
+	memcpy(s->sources, setup->sources, sizeof s->sources);
 	s->total = w[1];
 	s->moved = 0;
 	for (uint32_t i = 0; i < SHARED && s->sources[i] >= 0; ++i) {

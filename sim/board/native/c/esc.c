@@ -1,72 +1,250 @@
-/* The ESCs on the motors' lines: DShot frames out of trains of pulses (sim/board/devices/esc.py says what a frame is). */
+/* The ESCs on the motors' lines: DShot frames out of edges, and their answers (sim/board/devices/esc.py says what a frame
+ * is and what its limits are). */
 #include "peripherals.h"
 
-enum { GAP = 432 }; /* least rest before a frame: 2 us [cycles] */
+enum {
+	BITS = 16,
+	SPACES = BITS - 1, /* between begins of bits */
+	GAP_BITS = 2,      /* least rest before a frame */
+	LONG = 14400,      /* ten bits of the slowest protocol: the line has come to rest at this level [cycles] */
+	PAUSE = 2160,      /* one and a half of its bits */
+};
+/* Shares of a bit [1/1000] that a pulse may take: sim/board/devices/esc.py. */
+enum { ZERO_MIN = 317, ZERO_MAX = 384, ONE_MIN = 633, ONE_MAX = 788, UNEVEN = 50 };
 
-/* Takes a train for a DShot frame; false: it is none, or Python has to say what is wrong with it. */
-static bool esc_take(struct native *n, uint32_t t, uint32_t channel, const struct train *train)
+enum { ANSWER_BITS = 21 };
+
+/* ---- frames ---- */
+
+static bool esc_decode(const struct esc *esc, uint32_t *data, uint64_t *end)
 {
-	struct esc *const esc = &n->s.timers[t].escs[channel];
-	const uint64_t length = train->length;
+	const uint64_t *const at = esc->edges;
+	const uint64_t span = at[ESC_EDGES - 2] - at[0], length = (span + SPACES / 2) / SPACES;
 	uint32_t frame = 0;
 
-	if (length < esc->shortest || length > esc->longest || (int64_t)train->start < esc->rest_since + GAP)
+	if (length < esc->shortest || length > esc->longest || esc->rest != esc->inverted ||
+	    (int64_t)at[0] < esc->rest_since + (int64_t)(GAP_BITS * length))
 		return false;
-	for (uint32_t i = 0; i < TRAIN; ++i) {
-		/* 37.5 % of the bit for a 0, 75 % for a 1, within 5 % of that: sim/board/devices/esc.py. */
-		const uint64_t high = 8u * (uint64_t)train->highs[i];
-		const uint64_t nominal = 16u * (uint64_t)train->highs[i] > 9u * length ? 6u * length : 3u * length;
+	for (uint32_t i = 0; i < BITS; ++i) {
+		const uint64_t begin = SPACES * (at[2u * i] - at[0]), even = i * span;
+		const uint64_t share = 1000u * SPACES * (at[2u * i + 1u] - at[2u * i]) / span;
+		const bool one = share >= ONE_MIN;
 
-		if (20u * (high > nominal ? high - nominal : nominal - high) > nominal)
+		if (1000u * (begin > even ? begin - even : even - begin) > UNEVEN * span)
 			return false;
-		frame = frame << 1 | (nominal == 6u * length);
+		if (share < ZERO_MIN || share > ONE_MAX || (!one && share > ZERO_MAX))
+			return false;
+		frame = frame << 1 | one;
 	}
-	const uint32_t data = frame >> 4;
+	*data = frame >> 4;
+	*end = at[ESC_EDGES - 2] + length;
+	return (frame & 15u) == ((*data ^ *data >> 4 ^ *data >> 8 ^ (esc->inverted ? 15u : 0u)) & 15u);
+}
 
-	if ((frame & 15u) != ((data ^ data >> 4 ^ data >> 8) & 15u))
+/* ---- answers ---- */
+
+/* A number of 32 bits (xorshift64*). */
+static uint32_t esc_random(struct esc *esc)
+{
+	esc->random ^= esc->random >> 12;
+	esc->random ^= esc->random << 25;
+	esc->random ^= esc->random >> 27;
+	return (uint32_t)(esc->random * UINT64_C(0x2545F4914F6CDD1D) >> 32);
+}
+
+static bool esc_happens(struct esc *esc, double share)
+{
+	return share > 0.0 && esc_random(esc) < share * 4294967296.0;
+}
+
+/* The word with its checksum, five bits a nibble: no more than three equal ones follow each other on the line. */
+static uint32_t esc_coded(uint32_t word)
+{
+	static const uint8_t codes[] = {0x19, 0x1B, 0x12, 0x13, 0x1D, 0x15, 0x16, 0x17, 0x1A, 0x09, 0x0A, 0x0B, 0x1E, 0x0D, 0x0E, 0x0F};
+	const uint32_t all = word << 4 | (~(word ^ word >> 4 ^ word >> 8) & 15u);
+
+	return (uint32_t)codes[all >> 12 & 15u] << 15 | (uint32_t)codes[all >> 8 & 15u] << 10 |
+	       (uint32_t)codes[all >> 4 & 15u] << 5 | codes[all & 15u];
+}
+
+static void esc_toggle(struct esc *esc, double cycle)
+{
+	const int64_t late = esc->jitter ? (int64_t)(esc_random(esc) % (2u * esc->jitter + 1u)) - (int64_t)esc->jitter : 0;
+
+	esc->answer_edges[esc->answer_edge_count++] = (uint64_t)((int64_t)(cycle + 0.5) + late);
+}
+
+/* The line falls; each one of the coded bits is a change; in the end it is let go. */
+static void esc_reply(struct esc *esc)
+{
+	const double bit = esc->bit_factor * TIME_HZ / (1250.0 * esc->protocol);
+	const double begin = (double)(esc->last_cycle + esc->delay);
+	const uint32_t coded = esc_coded(esc->answer);
+
+	esc->answer_edge_count = 0;
+	if (!esc->inverted || esc->answer == NO_ANSWER || esc_happens(esc, esc->silence))
+		return;
+	++esc->answers;
+	esc_toggle(esc, begin);
+	for (uint32_t i = 1; i < ANSWER_BITS; ++i)
+		if (coded >> (ANSWER_BITS - 1u - i) & 1u)
+			esc_toggle(esc, begin + i * bit);
+	esc->answer_end = (uint64_t)(begin + ANSWER_BITS * bit + 0.5);
+	if (esc->answer_edge_count % 2u != 0u)
+		esc->answer_edges[esc->answer_edge_count++] = esc->answer_end;
+}
+
+/* Fails if both drive the line. */
+static void esc_validate(struct native *n, struct esc *esc)
+{
+	if (!esc->output || esc->answer_edge_count == 0u || esc->output_since >= esc->answer_end)
+		return;
+	const uint64_t begin = esc->answer_edges[0], both = esc->output_since > begin ? esc->output_since : begin;
+
+	if (native_now(n) <= both)
+		return;
+	esc->answer_edge_count = 0;
+	native_query(n, QUERY_DRIVEN, n->devices[PORT][esc->port], esc->pin, (uint32_t)(both - esc->last_cycle));
+}
+
+void esc_output(struct native *n, struct esc *esc, bool output)
+{
+	if (esc->output == output)
+		return;
+	esc_validate(n, esc);
+	esc->output = output;
+	esc->output_since = native_now(n);
+}
+
+bool esc_drives(const struct esc *esc, uint64_t cycle, bool *level)
+{
+	uint32_t passed = 0;
+
+	if (esc->stuck != STUCK_NOT) {
+		*level = esc->stuck == STUCK_HIGH;
+		return true;
+	}
+	if (esc->answer_edge_count == 0u || cycle < esc->answer_edges[0] || cycle >= esc->answer_end)
 		return false;
-	if (n->s.frame_count == FRAMES)
-		native_tell_frames(n);
-	esc->last_cycle = train->start + TRAIN * length;
-	esc->rest_since = (int64_t)esc->last_cycle;
-	esc->last = data;
-	++esc->frames;
-	if (n->frames_heard)
-		n->s.frames[n->s.frame_count++] =
-			(struct frame){.cycle = esc->last_cycle, .motor = esc->motor, .data = data};
+	while (passed < esc->answer_edge_count && esc->answer_edges[passed] <= cycle)
+		++passed;
+	*level = passed % 2u == 0u;
 	return true;
 }
 
-void esc_show(struct native *n, uint32_t t, uint32_t channel, uint64_t start, uint64_t length, uint32_t high)
+void esc_sample(struct esc *esc, uint32_t bit, bool resting, uint32_t *items, uint32_t count, uint64_t start, uint64_t step)
 {
-	struct train *const train = &n->s.timers[t].trains[channel];
+	const uint32_t edges = esc->answer_edge_count;
+	uint32_t passed = 0;
 
-	if (train->count != 0u && (train->length != length || train->start + train->count * length != start)) {
-		n->callbacks.pulses(n->devices[TIMER][t], channel + 1u, train->start, train->length, train->count, train->highs);
-		train->count = 0;
-	}
-	if (train->count == 0u) {
-		if (high == 0u)
-			return;
-		train->start = start;
-		train->length = length;
-	}
-	train->highs[train->count++] = high;
-	if (high == 0u || train->count == TRAIN) {
-		if (high == 0u || !esc_take(n, t, channel, train))
-			n->callbacks.pulses(n->devices[TIMER][t], channel + 1u, train->start, length, train->count, train->highs);
-		train->count = 0;
+	for (uint32_t i = 0; i < count; ++i) {
+		const uint64_t cycle = start + i * step;
+		bool level = resting;
+
+		while (passed < edges && esc->answer_edges[passed] <= cycle)
+			++passed;
+		if (esc->stuck != STUCK_NOT)
+			level = esc->stuck == STUCK_HIGH;
+		else if (passed != 0u && cycle < esc->answer_end)
+			level = passed % 2u == 0u;
+		if (esc_happens(esc, esc->noise))
+			level = !level;
+		items[i] |= level ? bit : 0u;
 	}
 }
 
-struct esc *native_esc(struct native *n, uint32_t motor, uint32_t t, uint32_t channel)
+/* ---- what it hears ---- */
+
+static void esc_accept(struct native *n, struct esc *esc, uint64_t end, uint32_t data)
 {
-	struct esc *const esc = &n->s.timers[t].escs[channel - 1u];
+	if (n->s.frame_count == FRAMES)
+		native_tell_frames(n);
+	esc_validate(n, esc); /* the answer before this frame */
+	esc->last_cycle = end;
+	esc->rest_since = (int64_t)end;
+	esc->last = data;
+	++esc->frames;
+	if (n->frames_heard)
+		n->s.frames[n->s.frame_count++] = (struct frame){.cycle = end, .motor = esc->motor, .data = data};
+	esc_reply(esc);
+}
+
+void native_esc_accept(struct native *n, uint32_t motor, uint64_t end, uint32_t data)
+{
+	esc_accept(n, &n->s.escs[motor], end, data);
+}
+
+/* Hands over the edges of what is no plain frame, and forgets them. */
+static void esc_tell(struct native *n, struct esc *esc)
+{
+	const uint32_t count = esc->edge_count;
+
+	esc->edge_count = 0;
+	n->callbacks.train(esc->motor, count, esc->edges, esc->rest);
+}
+
+/* Has a pulse of the frame under way begun too late for it? */
+static bool esc_pauses(const struct esc *esc, uint64_t cycle)
+{
+	const uint64_t *const at = esc->edges;
+	const uint32_t count = esc->edge_count;
+	const uint64_t pause = count > 2u ? 3u * (at[2] - at[0]) / 2u : esc->longest != 0u ? 3u * esc->longest / 2u : PAUSE;
+
+	return cycle - at[count - 2u] > pause;
+}
+
+void esc_edge(struct native *n, struct esc *esc, uint64_t cycle, bool level)
+{
+	if (esc->level == level)
+		return;
+	esc->level = level;
+	if (esc->edge_count % 2u != 0u && cycle - esc->edges[esc->edge_count - 1u] > LONG) {
+		if (esc->edge_count > 1u)
+			esc_tell(n, esc);
+		else
+			esc->rest_since = (int64_t)esc->edges[0];
+		esc->edge_count = 0;
+	} else if (esc->edge_count != 0u && esc->edge_count % 2u == 0u && esc_pauses(esc, cycle)) {
+		esc_tell(n, esc);
+	}
+	if (esc->edge_count == 0u)
+		esc->rest = !level;
+	esc->edges[esc->edge_count++] = cycle;
+	if (esc->edge_count == ESC_EDGES) {
+		uint64_t end;
+		uint32_t data;
+
+		if (esc_decode(esc, &data, &end)) {
+			esc->edge_count = 0;
+			esc_accept(n, esc, end, data);
+		} else {
+			esc_tell(n, esc);
+		}
+	}
+}
+
+/* ---- for Python ---- */
+
+struct esc *native_esc(struct native *n, uint32_t motor, uint32_t port, uint32_t pin)
+{
+	struct esc *const esc = &n->s.escs[motor];
 
 	esc->motor = motor;
+	esc->port = (uint8_t)port;
+	esc->pin = (uint8_t)pin;
 	esc->last = NO_FRAME;
-	n->motors[motor] = esc;
+	esc->answer = NO_ANSWER;
+	esc->bit_factor = 1.0;
+	esc->random = motor + 1u;
+	n->motor_pins[port] |= (uint16_t)(1u << pin);
+	n->esc_of[port][pin] = (uint8_t)motor;
+	n->motor_count = motor + 1u;
 	return esc;
+}
+
+void native_esc_timer(struct native *n, uint32_t motor, uint32_t t, uint32_t channel)
+{
+	n->esc_at[t][channel - 1u] = (uint8_t)motor;
 }
 
 bool native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint16_t *values)
@@ -75,8 +253,9 @@ bool native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint
 	bool changed = false;
 
 	for (uint32_t i = 0; i < count; ++i) {
-		const struct esc *const esc = n->motors[i];
-		const bool hears = esc->last != NO_FRAME && (cycle <= esc->last_cycle || cycle - esc->last_cycle <= silent);
+		const struct esc *const esc = &n->s.escs[i];
+		const bool hears = i < n->motor_count && esc->last != NO_FRAME &&
+				   (cycle <= esc->last_cycle || cycle - esc->last_cycle <= silent);
 		const uint16_t value = hears ? (uint16_t)(esc->last >> 1) : 0u;
 
 		changed |= values[i] != value;

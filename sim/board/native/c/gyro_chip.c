@@ -4,10 +4,9 @@
 
 #include "peripherals.h"
 
-enum { READY_PORT = 2, READY_PIN = 3 };
-enum { DATA = 0x3B, READ = 0x80 };
+enum { READ = 0x80 };
 
-/* What is measured at +-2000 deg/s and +-16 g, as the full scale that is set shows it. */
+/* What is measured at +-2000 deg/s and +-16 g, as the full scale that is set shows it; i: accelerometer, temperature, gyro. */
 static int16_t gyro_value(const struct gyro *g, uint32_t i)
 {
 	const int shift = i < 3u ? g->accel_shift : i > 3u ? g->gyro_shift : 0;
@@ -28,43 +27,46 @@ void gyro_sample(struct native *n)
 	++g->samples;
 	if (g->silent)
 		return;
-	for (uint32_t i = 0; i < GYRO_VALUES; ++i) { /* the upper byte first */
-		const uint16_t value = (uint16_t)gyro_value(g, i);
+	for (uint32_t i = 0; i < GYRO_VALUES; ++i) {
+		const uint16_t value = (uint16_t)gyro_value(g, g->order[i]);
 
-		g->data[2u * i] = (uint8_t)(value >> 8);
-		g->data[2u * i + 1u] = (uint8_t)value;
+		g->data[2u * i + g->little] = (uint8_t)(value >> 8);
+		g->data[2u * i + !g->little] = (uint8_t)value;
 	}
 	g->interrupt = 1;
-	pins_pulse(n, READY_PORT, READY_PIN);
-	if (exti_watches_fall(n, READY_PIN))
+	if (n->ready.port == NO_PORT)
+		return;
+	pins_pulse(n, n->ready.port, n->ready.pin);
+	if (exti_watches_fall(n, n->ready.pin))
 		engine_set_alarm(n->e, n->gyro_fall_alarm, due + n->gyro_pulse);
 }
 
 void gyro_fall(struct native *n)
 {
-	native_drive(n, READY_PORT, READY_PIN, false);
+	native_drive(n, n->ready.port, n->ready.pin, false);
 }
 
 bool gyro_exchange(struct native *n, uint8_t *bytes, uint32_t count, double hz, uint32_t mode)
 {
 	struct gyro *const g = &n->s.gyro;
-	const bool begins = g->transaction != n->s.spis[0].transaction || g->address == NO_ADDRESS;
-	const uint32_t place = (begins ? bytes[0] & ~(uint32_t)READ : g->address) - DATA, rest = count - begins;
+	const uint32_t transaction = n->s.chips[n->gyro_chip].transaction;
+	const bool begins = g->transaction != transaction || g->address == NO_ADDRESS;
+	const uint32_t place = (begins ? bytes[0] & ~(uint32_t)READ : g->address) - g->data_at, rest = count - begins;
 
-	if ((mode != 0u && mode != 3u) || hz > n->gyro_data_hz || place > GYRO_BYTES || rest > GYRO_BYTES - place)
+	if (g->hidden || (mode != 0u && mode != 3u) || hz > n->gyro_data_hz || place > GYRO_BYTES || rest > GYRO_BYTES - place)
 		return false;
-	if (begins && g->reads && g->address - DATA < GYRO_BYTES && (g->address - DATA) % 2u != 0u)
+	if (begins && g->reads && g->address - g->data_at < GYRO_BYTES && (g->address - g->data_at) % 2u != 0u)
 		return false; /* the transaction before ended inside a value */
 	if (begins ? (bytes[0] & READ) == 0u || native_now(n) < g->ready_at : !g->reads)
 		return false;
 	if (begins) {
-		g->transaction = n->s.spis[0].transaction;
+		g->transaction = transaction;
 		g->reads = 1;
 		memcpy(g->shadow, g->data, sizeof g->shadow);
 		*bytes++ = 0;
 	}
 	memcpy(bytes, g->shadow + place, rest);
-	g->address = DATA + place + rest;
+	g->address = g->data_at + place + rest;
 	return true;
 }
 
@@ -77,6 +79,11 @@ struct gyro *native_gyro(struct native *n, uint32_t alarm, uint32_t fall_alarm, 
 	n->s.gyro.due = NEVER;
 	n->s.gyro.address = NO_ADDRESS;
 	return &n->s.gyro;
+}
+
+void native_gyro_ready(struct native *n, uint32_t port, uint32_t pin)
+{
+	n->ready = (struct pin){(uint8_t)port, (uint8_t)pin};
 }
 
 void native_hear_samples(struct native *n, bool on)

@@ -1,5 +1,5 @@
 /* The peripherals that a flight controller uses ten thousand times a second, between the engine and Python: GPIO,
- * SYSCFG, EXTI, DMA1 and 2, SPI1 and SPI3, the timers, and what hangs on them: gyro chip, ESCs and watchdog. This
+ * SYSCFG, EXTI, DMA1 and 2, SPI1 to SPI3, the timers, and what hangs on them: gyro chip, ESCs and watchdog. This
  * file has the types that they share. C moves registers, data and time; the classes of the same names in Python know the
  * rules: C asks them once for each new set-up, and they say what is wrong. */
 #ifndef NATIVE_H
@@ -14,35 +14,38 @@
 #define SRAM_END 0x20040000u
 
 enum {
+	NO_PORT = 0xFF,
 	WINDOWS = 128,
 	WORDS = 256,
-	DEVICES = 16,
-	PORTS = 4,
+	DEVICES = 20,
+	PORTS = 5,            /* A to E */
+	PINS = 16,            /* of a port */
 	STREAMS = 8,
-	SPIS = 2,             /* SPI1 with the gyro chip, SPI3 with the SD card */
+	SPIS = 3,
+	CHIPS = 8,            /* on all SPIs */
 	TIMERS = 6,
 	CHANNELS = 4,
 	MOTORS = 8,
 	SOURCES = 64,
 	SHARED = 3,           /* requests that may share a place */
+	SETUPS = 2,           /* of a stream: frames to the motors and answers from them take turns */
 	FIFO_BYTES = 4,
 	STEADY_PERIODS = 20,
 	PERIODS = 512,        /* handled at once */
-	TRAIN = 16,           /* the bits of a DShot frame */
 	FRAMES = 256,         /* kept until Python is told */
+};
+
+/* A set-up of a stream that was found right; epoch 0: none yet. */
+struct setup {
+	int32_t sources[SHARED]; /* that drive it, -1: none */
+	uint32_t cr, par, m0ar, ndtr, epoch;
 };
 
 struct stream {
 	uint32_t total, moved;
-	int32_t sources[SHARED];             /* that drive it while it is enabled, -1: none */
-	int32_t valid[SHARED];               /* those of the set-up found right last */
-	uint32_t cr, par, m0ar, ndtr, epoch; /* that set-up; epoch 0: none yet */
-};
-
-/* Pulses of a channel that have not been shown yet: what lies between two rests of the line. */
-struct train {
-	uint64_t start, length;
-	uint32_t count, highs[TRAIN];
+	int32_t sources[SHARED]; /* that drive it while it is enabled, -1: none */
+	struct setup setups[SETUPS];
+	uint32_t latest; /* of them; the one that Python answers for */
 };
 
 struct timer {
@@ -51,8 +54,8 @@ struct timer {
 	uint32_t stopped_at, pending, steady;
 	uint32_t valid[CHANNELS]; /* epoch in which the output was found right */
 	uint32_t ccmr[CHANNELS];  /* of its register then */
-	struct train trains[CHANNELS];
-	struct esc escs[CHANNELS];
+	uint64_t served;          /* cycle until which requests have been made that feed ports or come at compare */
+	uint32_t feeds_ports;     /* a stream between a port and memory waits for one of its requests, or has */
 };
 
 struct spi {
@@ -60,8 +63,21 @@ struct spi {
 	uint32_t sending_count, received_count, last;
 	uint64_t begun; /* NEVER: no byte is on the wire */
 	uint32_t overrun, epoch, cr1, cr2; /* the last three: of the set-up found right last */
-	uint32_t selected, transaction;    /* the chip behind it; every edge of its select begins a new one */
-	uint64_t clock;                    /* of its bus [Hz] */
+	uint64_t clock; /* of its bus [Hz] */
+};
+
+/* A chip behind an SPI; every edge of its select begins a new transaction. */
+struct chip {
+	uint32_t selected, transaction;
+};
+
+/* Where it sits. */
+struct place {
+	uint8_t kind, spi, port, pin; /* of its select */
+};
+
+struct pin {
+	uint8_t port, pin;
 };
 
 struct native_state {
@@ -77,6 +93,8 @@ struct native_state {
 	uint64_t due[SOURCES]; /* of Python's sources: cycle at which there is something to move; NEVER: nothing */
 	struct timer timers[TIMERS];
 	struct spi spis[SPIS];
+	struct chip chips[CHIPS];
+	struct esc escs[MOTORS];
 	uint64_t timer_clock[2];
 	struct gyro gyro;
 	struct card card;
@@ -112,11 +130,18 @@ struct native {
 	uint32_t alarms[DEVICES];
 	uint8_t advanced[TIMERS];
 	uint16_t watched[PORTS];
+	uint8_t chip_select[PORTS]; /* a chip is selected by one of its pins */
+	struct place places[CHIPS];
+	uint32_t chip_count, gyro_chip, log_chip; /* the latter: places, or CHIPS */
+	struct pin miso[SPIS], ready;             /* port NO_PORT: not wired */
+	uint16_t motor_pins[PORTS];               /* with an ESC */
+	uint8_t esc_of[PORTS][PINS];              /* there */
+	uint8_t esc_at[TIMERS][CHANNELS];         /* MOTORS: none */
+	uint32_t motor_count;
 	uint32_t watchdog_window, watchdog_offset, watchdog_alarm;
 	uint32_t gyro_alarm, gyro_fall_alarm;
 	uint64_t gyro_pulse;
 	double gyro_data_hz;
-	const struct esc *motors[MOTORS];
 	bool samples_heard, frames_heard; /* by Python */
 	bool bit_errors, card_fitted;
 	uint64_t lazy; /* sources of Python that move between their dues as well */

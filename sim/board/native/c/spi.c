@@ -1,11 +1,10 @@
-/* SPI1 and SPI3 as masters (RM0431 SPI): bytes between the program and the chip on the bus, each taking its eight clocks.
+/* SPI1 to SPI3 as masters (RM0431 SPI): bytes between the program and the chip that it has selected, each taking its eight clocks.
  *
  * One alarm marks the end of a transfer by DMA; a register that is read before shows the bytes that have passed until then. */
 #include <string.h>
 
 #include "peripherals.h"
 
-enum { GYRO_SPI = 0, CARD_SPI = 1 }; /* places among the SPIs */
 enum { SPE = 1u << 6, RXDMAEN = 1u << 0, TXDMAEN = 1u << 1, ERRIE = 1u << 5, RXNEIE = 1u << 6, TXEIE = 1u << 7 };
 enum { SPI_CR1 = 0, SPI_CR2 = 1, SPI_SR = 2 }; /* words; SPI_DR: spi.h */
 enum { FRXTH = 1u << 12 };
@@ -78,27 +77,48 @@ static void spi_fetch(struct native *n, uint32_t i)
 		s->sending[s->sending_count++] = (uint8_t)item;
 }
 
+/* The chip that is selected; CHIPS: none is. Fails if two are. */
+static uint32_t spi_selected(struct native *n, uint32_t i)
+{
+	uint32_t found = CHIPS;
+
+	for (uint32_t k = 0; k < n->chip_count; ++k) {
+		if (n->places[k].spi != i || !n->s.chips[k].selected)
+			continue;
+		if (found != CHIPS) {
+			const struct place *const one = &n->places[found], *const other = &n->places[k];
+
+			native_query(n, QUERY_SELECTED, n->devices[SPI][i], (uint32_t)one->port << 4 | one->pin,
+				     (uint32_t)other->port << 4 | other->pin);
+		}
+		found = k;
+	}
+	return found;
+}
+
 /* `count` bytes pass that begin at `cycle`; what the chip on the bus answers takes their place. */
 static void spi_answer(struct native *n, uint32_t i, uint8_t *bytes, uint32_t count, uint64_t cycle)
 {
 	const struct spi *const s = &n->s.spis[i];
 	const uint32_t cr1 = spi_words(n, i)[SPI_CR1], mode = cr1 & 3u; /* CPHA, CPOL */
 	const double hz = (double)s->clock / (double)(2u << (cr1 >> 3 & 7u));
+	const uint32_t chip = spi_selected(n, i);
 
-	if (i == CARD_SPI) {
-		const uint32_t length = (uint32_t)spi_byte_cycles(n, i);
+	if (chip < CHIPS && chip == n->gyro_chip) {
+		if (!gyro_exchange(n, bytes, count, hz, mode))
+			n->callbacks.exchange(bytes, count, n->s.chips[chip].transaction, hz, mode);
+		if (n->bit_errors)
+			n->callbacks.errors(bytes, count);
+	} else if (n->log_chip < CHIPS && n->places[n->log_chip].spi == i && (chip == CHIPS || chip == n->log_chip)) {
+		const uint32_t length = (uint32_t)spi_byte_cycles(n, i); /* it hears clocks while it is not selected, too */
 
 		if (!card_exchange(n, bytes, count, cycle, length))
 			n->callbacks.card(bytes, count, cycle, length, hz, mode);
-	} else if (s->selected) {
-		if (!gyro_exchange(n, bytes, count, hz, mode))
-			n->callbacks.exchange(bytes, count, s->transaction, hz, mode);
-		if (n->bit_errors)
-			n->callbacks.errors(bytes, count);
 	} else {
-		const uint32_t *const port = device_words(n, n->devices[PORT][0]);
+		const struct pin *const miso = &n->miso[i];
+		const uint32_t pull = miso->port == NO_PORT ? 0u : device_words(n, n->devices[PORT][miso->port])[PUPDR];
 
-		memset(bytes, (port[PUPDR] >> 12 & 3u) == 1u ? 0xFF : 0x00, count); /* MISO is PA6 */
+		memset(bytes, (pull >> 2u * miso->pin & 3u) == 1u ? 0xFF : 0x00, count);
 	}
 }
 

@@ -1,7 +1,7 @@
-/* TIM1 to TIM5 and TIM8 (RM0431 TIM): counters with preload, compare outputs and DMA requests at updates.
+/* TIM1 to TIM5 and TIM8 (RM0431 TIM): counters with preload, compare outputs and DMA requests at updates and compares.
  *
- * A free-running timer costs nothing: its updates are counted when a register is read. While DMA feeds compare registers,
- * an alarm marks the end of the transfer; what the pins did meanwhile is shown as trains of pulses. */
+ * A free-running timer costs nothing: its updates are counted when a register is read. While its requests move something,
+ * an alarm marks the end of the transfer; what the pins did meanwhile is shown then, or before somebody looks. */
 #include <string.h>
 
 #include "peripherals.h"
@@ -10,6 +10,7 @@ enum { T_CR1 = 0, T_CR2 = 1, T_DIER = 3, T_SR = 4, T_EGR = 5, T_CCMR1 = 6, T_CCM
        T_PSC = 10, T_ARR = 11, T_CCR1 = 13, T_CCR4 = 16, T_BDTR = 17, T_DCR = 18, T_DMAR = 19 };
 enum { CEN = 1u << 0, UDIS = 1u << 1, URS = 1u << 2, OPM = 1u << 3, ARPE = 1u << 7 };
 enum { CCDS = 1u << 3, MOE = 1u << 15, UIF = 1u << 0 };
+enum { PORT_BYTES = 0x400 };
 
 static uint32_t *timer_words(struct native *n, uint32_t t)
 {
@@ -42,18 +43,29 @@ static uint32_t timer_source(uint32_t t, uint32_t k)
 	return TIMER_SOURCE + 5u * t + k;
 }
 
-/* Is request `k` (0 update, 1 to 4 channels) made at each update? */
-static bool timer_asks(struct native *n, uint32_t t, uint32_t k)
+/* Is request `k` (0 update, 1 to 4 channels) made at all, and by updates? */
+static bool timer_asks(const struct native *n, uint32_t t, uint32_t k)
 {
-	const uint32_t *const w = timer_words(n, t);
+	return n->s.words[n->devices[TIMER][t]][T_DIER] >> (8u + k) & 1u;
+}
 
-	if ((w[T_DIER] >> (8u + k) & 1u) == 0u)
-		return false;
-	if (k != 0u && (w[T_CR2] & CCDS) == 0u) {
-		native_query(n, QUERY_COMPARE, n->devices[TIMER][t], k, 0);
-		return false;
-	}
-	return true;
+static bool timer_at_update(const struct native *n, uint32_t t, uint32_t k)
+{
+	return k == 0u || (n->s.words[n->devices[TIMER][t]][T_CR2] & CCDS) != 0u;
+}
+
+/* The port whose register request `k` moves items to or from; PORTS: none. */
+static uint32_t timer_port(struct native *n, uint32_t t, uint32_t k)
+{
+	const uint32_t distance = (native_target(n, timer_source(t, k)) - n->bases[n->devices[PORT][0]]) / PORT_BYTES;
+
+	return distance < PORTS ? distance : PORTS;
+}
+
+/* Does it feed registers of the timer, at updates? */
+static bool timer_feeds_itself(struct native *n, uint32_t t, uint32_t k)
+{
+	return timer_asks(n, t, k) && timer_at_update(n, t, k) && timer_port(n, t, k) == PORTS;
 }
 
 /* The words that one request writes, a register or a burst of them through DMAR: first and how many; 0 when it may not. */
@@ -132,8 +144,15 @@ static void timer_pulses(struct native *n, uint32_t t, uint32_t channel, uint32_
 		s->valid[channel] = n->s.epoch;
 		s->ccmr[channel] = w[T_CCMR1 + channel / 2u];
 	}
-	for (uint32_t i = 0; i < count; ++i)
-		esc_show(n, t, channel, s->anchor + (offset + i) * length, length, highs[i]);
+	for (uint32_t i = 0; i < count; ++i) {
+		const uint64_t start = s->anchor + (offset + i) * length;
+
+		if (n->esc_at[t][channel] == MOTORS || highs[i] == 0u)
+			continue;
+		esc_edge(n, &n->s.escs[n->esc_at[t][channel]], start, true);
+		if (highs[i] < length)
+			esc_edge(n, &n->s.escs[n->esc_at[t][channel]], start + highs[i], false);
+	}
 }
 
 /* One request's items go to their registers. */
@@ -180,12 +199,8 @@ static uint64_t timer_free_run(struct native *n, uint32_t t, uint64_t updates)
 
 	if (s->steady)
 		return updates;
-	if ((s->ccr[0] | s->ccr[1] | s->ccr[2] | s->ccr[3]) == 0u) {
-		for (uint32_t c = 0; updates > 1u && c < CHANNELS; ++c)
-			if (s->trains[c].count != 0u)
-				esc_show(n, t, c, s->anchor + timer_period(n, t), timer_period(n, t), 0);
+	if ((s->ccr[0] | s->ccr[1] | s->ccr[2] | s->ccr[3]) == 0u)
 		return updates;
-	}
 	const uint32_t shown = updates - 1u < STEADY_PERIODS ? (uint32_t)(updates - 1u) : STEADY_PERIODS;
 
 	for (uint32_t c = 0; c < CHANNELS; ++c) {
@@ -206,7 +221,7 @@ static uint64_t timer_run(struct native *n, uint32_t t, uint64_t updates)
 	uint64_t count = 1;
 
 	for (uint32_t k = 0; k <= CHANNELS; ++k) {
-		if (!timer_asks(n, t, k))
+		if (!timer_feeds_itself(n, t, k))
 			continue;
 		asking |= 1u << k;
 		if (native_available(n, timer_source(t, k)) != 0u) {
@@ -235,14 +250,124 @@ static uint64_t timer_run(struct native *n, uint32_t t, uint64_t updates)
 	return count;
 }
 
-void timer_sync(struct native *n, uint32_t t)
+/* ---- requests that move items to and from ports, and those at compare ---- */
+
+/* Are they request `k`'s? */
+static bool timer_paces(struct native *n, uint32_t t, uint32_t k)
+{
+	return timer_asks(n, t, k) && (!timer_at_update(n, t, k) || timer_port(n, t, k) != PORTS);
+}
+
+/* The cycle at which request `k` is made first after `since`; NEVER: it is not. */
+static uint64_t timer_next(struct native *n, uint32_t t, uint32_t k, uint64_t since)
+{
+	const uint32_t *const w = timer_words(n, t);
+	const struct timer *const s = &n->s.timers[t];
+	const uint64_t length = timer_period(n, t);
+	uint64_t first = s->anchor, at;
+
+	if ((w[T_CR1] & CEN) == 0u)
+		return NEVER;
+	if (timer_at_update(n, t, k)) {
+		if (w[T_CR1] & UDIS)
+			return NEVER;
+		first += length;
+	} else {
+		if (s->ccr[k - 1u] > s->arr)
+			return NEVER;
+		first += timer_cycles(n, t, s->ccr[k - 1u]);
+	}
+	at = first > since ? first : first + ((since - first) / length + 1u) * length;
+	return (w[T_CR1] & OPM) != 0u && at > s->anchor + length ? NEVER : at;
+}
+
+/* Up to `count` items of request `k`, the first at `start`; returns how many requests that were, 0 on failure. */
+static uint32_t timer_move(struct native *n, uint32_t t, uint32_t k, uint64_t start, uint64_t count)
+{
+	const uint32_t source = timer_source(t, k), port = timer_port(n, t, k);
+	const uint32_t address = native_target(n, source), available = native_available(n, source);
+	const uint32_t word = (address & (PORT_BYTES - 1u)) >> 2, shift = 8u * (address & 3u);
+	uint32_t items[PERIODS], part = count < PERIODS ? (uint32_t)count : PERIODS;
+
+	if (available == 0u) {
+		n->s.timers[t].pending |= 1u << k;
+		return part;
+	}
+	if (port == PORTS) {
+		native_query(n, QUERY_COMPARE, n->devices[TIMER][t], k, 0);
+		return 0;
+	}
+	part = part < available ? part : available;
+	if (native_to_memory(n, source)) {
+		pins_sample(n, port, word, shift, items, part, start, timer_period(n, t));
+		return native_give(n, source, items, part);
+	}
+	part = native_take(n, source, items, part);
+	pins_put(n, port, word, shift, items, part, start, timer_period(n, t));
+	return part;
+}
+
+/* Makes all of them until `now`. Streams of one port take turns; others move as many items at once as there are. */
+static void timer_pace(struct native *n, uint32_t t, uint64_t now)
+{
+	struct timer *const s = &n->s.timers[t];
+	const uint64_t length = timer_period(n, t);
+	uint64_t served[CHANNELS + 1u];
+
+	for (uint32_t k = 0; k <= CHANNELS; ++k)
+		served[k] = s->served;
+	while (!n->failed) {
+		uint64_t due[CHANNELS + 1u], until = now;
+		uint32_t first = 0;
+
+		for (uint32_t k = 0; k <= CHANNELS; ++k) {
+			due[k] = timer_paces(n, t, k) ? timer_next(n, t, k, served[k]) : NEVER;
+			if (due[k] < due[first])
+				first = k;
+		}
+		if (due[first] > now)
+			break;
+		for (uint32_t k = 0; k <= CHANNELS; ++k)
+			if (k != first && due[k] <= until && timer_port(n, t, k) < PORTS && timer_port(n, t, k) == timer_port(n, t, first))
+				until = due[k];
+		const uint32_t moved = timer_move(n, t, first, due[first], (until - due[first]) / length + 1u);
+
+		if (moved == 0u)
+			break;
+		served[first] = due[first] + (moved - 1u) * length;
+	}
+	s->served = now;
+}
+
+void timers_sync_ports(struct native *n)
+{
+	for (uint32_t t = 0; t < TIMERS; ++t)
+		if (n->s.timers[t].feeds_ports)
+			timer_sync(n, t);
+}
+
+/* Will the next update change when requests are made? */
+static bool timer_changes(const struct native *n, uint32_t t)
+{
+	const uint32_t *const w = n->s.words[n->devices[TIMER][t]];
+	const struct timer *const s = &n->s.timers[t];
+
+	return (w[T_CR1] & (CEN | UDIS)) == CEN &&
+	       (s->arr != w[T_ARR] || s->psc != w[T_PSC] || memcmp(s->ccr, w + T_CCR1, sizeof s->ccr) != 0);
+}
+
+static void timer_sync_to(struct native *n, uint32_t t, uint64_t now)
 {
 	uint32_t *const w = timer_words(n, t);
 	struct timer *const s = &n->s.timers[t];
 
+	if (w[T_DIER] >> 8 != 0u)
+		timer_pace(n, t, now);
+	else
+		s->served = now;
 	if ((w[T_CR1] & (CEN | UDIS)) != CEN)
 		return;
-	uint64_t length = timer_period(n, t), updates = (native_now(n) - s->anchor) / length;
+	uint64_t length = timer_period(n, t), updates = now < s->anchor ? 0u : (now - s->anchor) / length;
 
 	while (updates != 0u && !n->failed) {
 		if (w[T_CR1] & OPM)
@@ -254,8 +379,26 @@ void timer_sync(struct native *n, uint32_t t)
 			break;
 		}
 		length = timer_period(n, t); /* ARR or PSC may be others now */
-		updates = native_now(n) < s->anchor ? 0u : (native_now(n) - s->anchor) / length;
+		updates = now < s->anchor ? 0u : (now - s->anchor) / length;
 	}
+}
+
+static bool timer_paces_any(struct native *n, uint32_t t)
+{
+	for (uint32_t k = 0; k <= CHANNELS; ++k)
+		if (timer_paces(n, t, k))
+			return true;
+	return false;
+}
+
+void timer_sync(struct native *n, uint32_t t)
+{
+	const struct timer *const s = &n->s.timers[t];
+	const uint64_t now = native_now(n);
+
+	while (!n->failed && timer_changes(n, t) && timer_paces_any(n, t) && now > s->anchor + timer_period(n, t))
+		timer_sync_to(n, t, s->anchor + timer_period(n, t));
+	timer_sync_to(n, t, now);
 }
 
 void timer_plan(struct native *n, uint32_t t)
@@ -269,15 +412,25 @@ void timer_plan(struct native *n, uint32_t t)
 			waits = 1;
 		for (uint32_t k = 0; k <= CHANNELS && !n->failed; ++k) {
 			uint32_t first;
-			const uint32_t available = timer_asks(n, t, k) ? native_available(n, timer_source(t, k)) : 0u;
+			const uint32_t available = timer_feeds_itself(n, t, k) ? native_available(n, timer_source(t, k)) : 0u;
 			const uint32_t step = available != 0u ? timer_targets(n, t, k, &first) : 0u;
 
 			if (step != 0u && (available + step - 1u) / step < waits)
 				waits = (available + step - 1u) / step;
 		}
 	}
-	engine_set_alarm(n->e, n->alarms[device],
-			 waits == NEVER ? NEVER : n->s.timers[t].anchor + waits * timer_period(n, t));
+	uint64_t due = waits == NEVER ? NEVER : n->s.timers[t].anchor + waits * timer_period(n, t);
+
+	for (uint32_t k = 0; k <= CHANNELS; ++k) {
+		const uint32_t available = timer_paces(n, t, k) ? native_available(n, timer_source(t, k)) : 0u;
+		const uint64_t next = available != 0u ? timer_next(n, t, k, n->s.timers[t].served) : NEVER;
+
+		if (next != NEVER && next + (available - 1u) * timer_period(n, t) < due)
+			due = next + (available - 1u) * timer_period(n, t);
+		if (available != 0u && timer_changes(n, t) && n->s.timers[t].anchor + timer_period(n, t) < due)
+			due = n->s.timers[t].anchor + timer_period(n, t);
+	}
+	engine_set_alarm(n->e, n->alarms[device], due);
 }
 
 static void timer_driver_sync(struct native *n, uint32_t source)
@@ -288,12 +441,18 @@ static void timer_driver_sync(struct native *n, uint32_t source)
 static void timer_driver_changed(struct native *n, uint32_t source)
 {
 	const uint32_t t = (source - TIMER_SOURCE) / 5u;
+	struct timer *const s = &n->s.timers[t];
 
 	timer_sync(n, t);
+	s->feeds_ports = 0;
 	for (uint32_t k = 0; k <= CHANNELS; ++k) {
-		if ((n->s.timers[t].pending >> k & 1u) != 0u && native_available(n, timer_source(t, k)) != 0u) {
-			n->s.timers[t].pending &= ~(1u << k);
-			timer_feed(n, t, k);
+		s->feeds_ports |= timer_port(n, t, k) != PORTS;
+		if ((s->pending >> k & 1u) != 0u && native_available(n, timer_source(t, k)) != 0u) {
+			s->pending &= ~(1u << k);
+			if (timer_feeds_itself(n, t, k))
+				timer_feed(n, t, k);
+			else
+				(void)timer_move(n, t, k, native_now(n), 1);
 		}
 	}
 	timer_plan(n, t);
@@ -305,7 +464,7 @@ void timer_reset(struct native *n, uint32_t t)
 {
 	const uint32_t device = n->devices[TIMER][t];
 
-	memset(&n->s.timers[t], 0, offsetof(struct timer, escs)); /* ESCs live on */
+	memset(&n->s.timers[t], 0, sizeof n->s.timers[t]);
 	timer_load(n, t);
 	engine_set_alarm(n->e, n->alarms[device], NEVER);
 	engine_irq(n->e, n->irqs[device][0], false);
@@ -360,12 +519,14 @@ static void timer_generate(struct native *n, uint32_t t, uint32_t value)
 		if ((w[T_CR1] & URS) == 0u) {
 			w[T_SR] |= UIF;
 			for (uint32_t k = 0; k <= CHANNELS; ++k) {
-				if (!timer_asks(n, t, k))
+				if (!timer_asks(n, t, k) || !timer_at_update(n, t, k))
 					continue;
-				if (native_available(n, timer_source(t, k)) != 0u)
-					timer_feed(n, t, k);
-				else
+				if (native_available(n, timer_source(t, k)) == 0u)
 					s->pending |= 1u << k;
+				else if (timer_port(n, t, k) != PORTS)
+					(void)timer_move(n, t, k, native_now(n), 1);
+				else
+					timer_feed(n, t, k);
 			}
 			timer_update_irq(n, t);
 		}

@@ -244,7 +244,7 @@ def test_a_card_that_is_busy_costs_python_one_call_when_it_is_polled(driver: Dri
     bench = driver.bench
     assert driver.command(24, 1) == b"\x00"
     driver.move(b"\xff\xfe" + bytes(512) + crc16(bytes(512)))
-    card, calls = bench.hardware.card_slot.card, 0
+    card, calls = bench.hardware.log_place.chip, 0
     assert card is not None
     exchange = card.exchange
 
@@ -265,9 +265,9 @@ def test_a_card_that_is_busy_costs_python_one_call_when_it_is_polled(driver: Dri
 def test_a_card_that_is_struck_stops_answering_and_comes_back_anew(driver: Driver) -> None:
     bench = driver.bench
     driver.write(1, pattern(1))
-    bench.hardware.card_slot.strike(CardFault.REMOVED)
+    bench.hardware.log_place.strike(CardFault.REMOVED)
     assert driver.command(13) == b""
-    bench.hardware.card_slot.strike(CardFault.INSERTED)
+    bench.hardware.log_place.strike(CardFault.INSERTED)
     assert driver.command(13) == b""  # too fast, and not initialised
     driver.speed(SLOW)
     driver.start()
@@ -291,7 +291,7 @@ def test_a_card_that_is_pulled_while_it_is_busy_lets_go_of_the_line(driver: Driv
     assert driver.command(24, 6) == b"\x00"
     driver.move(b"\xff\xfe" + bytes(512) + crc16(bytes(512)) + b"\xff\xff")
     assert driver.poll(b"\xff") == b"\x00"
-    bench.hardware.card_slot.strike(CardFault.REMOVED)
+    bench.hardware.log_place.strike(CardFault.REMOVED)
     assert driver.poll(b"\xff") == b"\xff"
 
 

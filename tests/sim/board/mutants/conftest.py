@@ -12,13 +12,12 @@ import pytest
 
 from neuroflight.flash.link.msp import encode, request
 from neuroflight.sim.board.board import Board, Report
-from neuroflight.sim.board.matekf722 import FULL_VOLTS
+from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYROS
 from neuroflight.sim.board.peripherals.usart import SBUS, Format
 from neuroflight.sim.control.sticks import channels
-from neuroflight.sim.ports.emulator import RECEIVER
 from neuroflight.sim.ports.receiver_frames import sbus_frame
 from neuroflight.toolchain.contract import Msp
-from neuroflight.toolchain.image.build import find_target, run_make
+from neuroflight.toolchain.image.build import BOARD_FAMILY, find_target, run_make
 from tests.conftest import ROOT
 from tests.firmware.mutants.mutant import replaced, spaced
 from tests.sim.board.mutants.mutant import Mutant
@@ -46,10 +45,11 @@ def workshop(board_image: Path, tmp_path_factory: pytest.TempPathFactory) -> Cal
     """Puts the firmware, and all that make has made of it, into a folder that is always the same."""
     kept = tmp_path_factory.mktemp("firmware")
     shutil.copytree(ROOT / "firmware", kept / "firmware", ignore=shutil.ignore_patterns("generated"))
-    shutil.copytree(board_image.parent, kept / "build")
+    built = board_image.parents[1] / BOARD_FAMILY
+    shutil.copytree(built, kept / "build")
     folder = kept.with_name(f"{kept.name}-mutant")
     for dependencies in (kept / "build").rglob("*.d"):  # they name objects by where these were made
-        text = dependencies.read_text().replace(str(board_image.parent), str(folder / "build"))
+        text = dependencies.read_text().replace(str(built), str(folder / "build"))
         dependencies.write_text(text)
 
     def fresh() -> Path:
@@ -93,7 +93,8 @@ def mutate(source: Path, mutant: Mutant) -> None:
 
 def fly(elf: Path, mutant: Mutant) -> Flight:
     """What the image did in `mutant.seconds`, on a board that is held in the hand: nearly still."""
-    with closing(Board(elf.with_suffix(".bin").read_bytes(), elf=elf, dshot=600)) as board:
+    chip = GYROS[mutant.gyro].chip
+    with closing(Board(elf.with_suffix(".bin").read_bytes(), elf=elf, chip=chip, dshot=600)) as board:
         gyro = board.hardware.gyro
         gyro.before_sample = lambda n: gyro.measure((0, 0, 2048), 333, (n // 2 % 3 - 1, 0, -(n // 2 % 2)))
         board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
@@ -110,7 +111,7 @@ def _run(board: Board, mutant: Mutant) -> None:
         if mutant.flown and now >= HEARD_S:
             throttle, roll = (0.3, 100.0) if now >= THROTTLE_S else (0.0, 0.0)
             sticks = channels((roll, 0.0, 0.0), throttle, armed=now >= ARM_S, pid=now >= PID_S)
-            board.hardware.usarts[RECEIVER].feed(sbus_frame(sticks.tolist()), SBUS)
+            board.hardware.usarts["USART2"].feed(sbus_frame(sticks.tolist()), SBUS)
         if mutant.saves is not None and now <= mutant.saves < now + STEP_S:
             board.hardware.usarts["USART1"].feed(encode(request(Msp.EEPROM_WRITE)), MSP)
         board.run(STEP_S)

@@ -15,22 +15,22 @@ CORE_MUTANTS = (
     Mutant(
         name="no barrier before DMA starts",
         file="hal/stm32f7/peripherals/dma.h",
-        old="\tDMA_SNDTR(s.controller, s.stream) = count;\n\tbarrier();\n",
-        new="\tDMA_SNDTR(s.controller, s.stream) = count;\n",
+        old="\tDMA_SNDTR(s.at, 0) = count;\n\tbarrier();\n",
+        new="\tDMA_SNDTR(s.at, 0) = count;\n",
         message=r"DMA\d stream \d is enabled without a barrier after the program's last store: .* a DSB",
         seconds=0.4,
     ),
     Mutant(
         name="motors' frame stored behind the barrier",
         file="hal/stm32f7/devices/motors.c",
-        old="\tdma_start(bank->stream, bank->slots, SLOTS * bank->width);\n",
-        new="\tdma_clear(bank->stream);\n"
-        "\tDMA_SM0AR(bank->stream.controller, bank->stream.stream) = (uint32_t)bank->slots;\n"
-        "\tDMA_SNDTR(bank->stream.controller, bank->stream.stream) = SLOTS * bank->width;\n\tbarrier();\n"
-        "\t*(volatile uint32_t *)bank->slots = pulses[0].zero;\n"
-        "\tDMA_SCR(bank->stream.controller, bank->stream.stream) |= DMA_SCR_EN;\n",
-        message=r"DMA2 stream 1 is enabled without a barrier after the program's last store",
-        place="motors_write|motors_send",
+        old="\t\tdma_start(self->stream, motor_words[i], setup.words);\n",
+        new="\t\tdma_clear(self->stream);\n"
+        "\t\tDMA_SM0AR(self->stream.at, 0) = (uint32_t)motor_words[i];\n"
+        "\t\tDMA_SNDTR(self->stream.at, 0) = setup.words;\n\t\tbarrier();\n"
+        "\t\t*(volatile uint32_t *)motor_words[i] = motors_edge(self->pins, true);\n"
+        "\t\tDMA_SCR(self->stream.at, 0) |= DMA_SCR_EN;\n",
+        message=r"DMA2 stream 6 is enabled without a barrier after the program's last store",
+        place="motors_write",
         seconds=0.4,
     ),
     Mutant(
@@ -52,7 +52,7 @@ CORE_MUTANTS = (
     Mutant(
         name="control path as urgent as the gyro's edge",
         file="hal/stm32f7/core/core.h",
-        old="PRIORITY_SAMPLE = 2,",
+        old="PRIORITY_SAMPLE = 3,",
         new="PRIORITY_SAMPLE = PRIORITY_GYRO_EDGE,",
         message=r"the gyro's data-ready edge \(EXTI3\) has priority 1 and (SysTick|interrupt 58) has 1",
         place="interrupt_enable",
@@ -79,7 +79,7 @@ CORE_MUTANTS = (
     Mutant(
         name="stack overflow by recursion in flight",
         file="src/control/mixer.c",
-        old="\treturn mixer->idle + mixer->span * throttle;\n",
+        old="\treturn mixer->idle + mixer->raised + (mixer->span - mixer->raised) * throttle;\n",
         new="\tvolatile float kept = throttle;\n\n"
         "\treturn kept < 2.0f ? mixer->idle + mixer_rest(mixer, kept) * kept : kept;\n",
         message=r"below DTCM: the stack overflows",
@@ -117,7 +117,7 @@ CORE_MUTANTS = (
     Mutant(
         name="handler that never clears its request",
         file=GYRO,
-        old="\tEXTI_PR = EXTI_PR_PR3;\n\tbarrier(); /* cleared before the handler can return, or it would "
+        old="\tEXTI_PR = gyro.line;\n\tbarrier(); /* cleared before the handler can return, or it would "
         "run twice */\n",
         new="",
         message=r"the handler of exception 25 has run 1000 times in a row and leaves its request up",
@@ -138,8 +138,8 @@ CORE_MUTANTS = (
     Mutant(
         name="handler that delays the gyro's interrupt",
         file=HAL,
-        old="\t\tmotors_write(NULL, NULL, 0, false); /* missing values stop */\n\tgyro_tick();\n",
-        new="\t\tmotors_write(NULL, NULL, 0, false);\n\tinterrupts_disable();\n\tgyro_tick();\n\t"
+        old="\t\t(void)motors_write(NULL, NULL, 0, false); /* missing values stop */\n\tgyro_tick();\n",
+        new="\t\t(void)motors_write(NULL, NULL, 0, false);\n\tinterrupts_disable();\n\tgyro_tick();\n\t"
         + BURN
         + "\n\tinterrupts_enable();\n",
         message=r"data-ready edge \(EXTI3\) waited .*: interrupts were masked",
@@ -194,7 +194,7 @@ CORE_MUTANTS = (
     Mutant(
         name="unaligned double word",
         file=GYRO,
-        old="\tsample.temperature = gyro_big_endian(gyro_response + TEMPERATURE_OFFSET);\n",
+        old="\tgyro_words(layout.temperature, layout.upper, 1, &sample.temperature);\n",
         new="\tuint32_t pair[2];\n\n"
         '\t__asm volatile("ldrd %0, %1, [%2]" : "=r"(pair[0]), "=r"(pair[1]) : "r"(gyro_response + 7));\n'
         "\tsample.temperature = (int16_t)pair[0];\n",
@@ -205,7 +205,7 @@ CORE_MUTANTS = (
     Mutant(
         name="unaligned floats",
         file=GYRO,
-        old="\tsample.temperature = gyro_big_endian(gyro_response + TEMPERATURE_OFFSET);\n",
+        old="\tgyro_words(layout.temperature, layout.upper, 1, &sample.temperature);\n",
         new="\tfloat first;\n\n"
         '\t__asm volatile("vldmia %1, {%0}" : "=t"(first) : "r"(gyro_response + 7));\n'
         "\tsample.temperature = first > 0.0f;\n",
@@ -266,7 +266,7 @@ CORE_MUTANTS = (
         "\tconst struct hal *hal = ((struct background *)context)->config.board.hal;\n\n"
         "\t(void)flash_program(&hal->flash, NF_FLASH_FAULT_RECORD_ADDRESS + 0x3F00u, &mark, sizeof mark);\n",
         message=r"flash at 0x0800FF00 is programmed while motor 1 turns \(DShot value \d+\)",
-        place="flash_memory_program",
+        place="flash_memory_program(_words)?",
         seconds=3.8,
         flown=True,
     ),

@@ -19,4 +19,5 @@ class Mutant:
     flown: bool = False  # armed by the receiver, at part throttle; else idle, receiver off
     saves: float | None = None  # when a client asks for the settings to be saved [s]
     boots: int = 1  # so many power-ups, each for so long
+    gyro: str = "icm20602"  # what is fitted
     ordinary: bool = False  # otherwise for the long run only

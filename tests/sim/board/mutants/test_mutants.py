@@ -18,12 +18,13 @@ from tests.sampling import sampled
 from tests.sim.board.mutants.bus_mutants import BUS_MUTANTS
 from tests.sim.board.mutants.clock_mutants import CLOCK_MUTANTS
 from tests.sim.board.mutants.core_mutants import CORE_MUTANTS
+from tests.sim.board.mutants.gyro_mutants import GYRO_MUTANTS
 from tests.sim.board.mutants.mutant import Mutant
 
 if TYPE_CHECKING:
     from tests.sim.board.mutants.conftest import Fly
 
-MUTANTS = (*CLOCK_MUTANTS, *BUS_MUTANTS, *CORE_MUTANTS)
+MUTANTS = (*CLOCK_MUTANTS, *BUS_MUTANTS, *GYRO_MUTANTS, *CORE_MUTANTS)
 UNCHANGED = Mutant(
     name="none",
     file="src/runtime.c",

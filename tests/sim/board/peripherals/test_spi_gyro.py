@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from neuroflight.sim.board.core.context import BoardError
-from neuroflight.sim.board.devices import gyro_chip
-from neuroflight.sim.board.devices.gyro_chip import ICM20601, ICM20602, ICM20689, MPU6500
-from neuroflight.sim.board.devices.gyro_mount import Alignment, accel_counts, gyro_counts
+from neuroflight.sim.board.devices import gyro_mpu
+from neuroflight.sim.board.devices.gyro_chip import GyroKind
+from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
+from neuroflight.sim.board.devices.gyro_mpu import ICM20601, ICM20602, ICM20689, MPU6500, MpuKind
 from neuroflight.sim.board.matekf722 import GYROS
+from neuroflight.toolchain.contract import Alignment
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
@@ -58,14 +60,15 @@ def start_chip(bench: Bench, speed: int = SLOW) -> None:
     configure(bench)
     bench.context.run(110_000)
     kind = bench.hardware.gyro.kind
-    exchange(bench, gyro_chip.PWR_MGMT_1, 0x80)
+    assert isinstance(kind, MpuKind)
+    exchange(bench, gyro_mpu.PWR_MGMT_1, 0x80)
     bench.context.run(100_001)
     for address, value in (
         kind.spi_only,
-        (gyro_chip.PWR_MGMT_1, 1),
-        (gyro_chip.GYRO_CONFIG, kind.full_scale << 3),
-        (gyro_chip.ACCEL_CONFIG, kind.full_scale << 3),
-        (gyro_chip.INT_ENABLE, 1),
+        (gyro_mpu.PWR_MGMT_1, 1),
+        (gyro_mpu.GYRO_CONFIG, kind.full_scale << 3),
+        (gyro_mpu.ACCEL_CONFIG, kind.full_scale << 3),
+        (gyro_mpu.INT_ENABLE, 1),
     ):
         exchange(bench, address, value)
         assert exchange(bench, address | 0x80, 0)[1] == value
@@ -74,7 +77,7 @@ def start_chip(bench: Bench, speed: int = SLOW) -> None:
     bench.set("SPI1_CR1", SPE=1)
 
 
-def started(make_bench: type[Bench], chip: gyro_chip.GyroKind, speed: int = SLOW) -> Bench:
+def started(make_bench: type[Bench], chip: GyroKind, speed: int = SLOW) -> Bench:
     """A board at 216 MHz whose chip is awake."""
     bench = make_bench(chip=chip)
     bench.full_speed()
@@ -95,24 +98,24 @@ def start_dma(bench: Bench, count: int = 15, rx_channel: int = 3) -> None:
 
 
 @pytest.mark.parametrize("chip", CHIPS)
-def test_chip_says_who_it_is_when_asked(make_bench: type[Bench], chip: gyro_chip.GyroKind) -> None:
+def test_chip_says_who_it_is_when_asked(make_bench: type[Bench], chip: GyroKind) -> None:
     bench = make_bench(chip=chip)
     bench.full_speed()
     configure(bench)
     bench.context.run(100_000)
-    assert exchange(bench, gyro_chip.WHO_AM_I | 0x80, 0)[1] == chip.who_am_i
+    assert exchange(bench, chip.told_at | 0x80, *bytes(1 + chip.dummies))[-1] == chip.who_am_i
 
 
 def test_an_icm20689_sleeps_when_it_is_reset_and_its_gyro_path_is_refused(make_bench: type[Bench]) -> None:
     bench = started(make_bench, ICM20689)
     assert bench.hardware.gyro.next_sample is not None
-    exchange(bench, gyro_chip.PWR_MGMT_1, 0x80)
+    exchange(bench, gyro_mpu.PWR_MGMT_1, 0x80)
     bench.context.run(100_001)
-    assert exchange(bench, gyro_chip.PWR_MGMT_1 | 0x80, 0)[1] == 0x41
+    assert exchange(bench, gyro_mpu.PWR_MGMT_1 | 0x80, 0)[1] == 0x41
     assert bench.hardware.gyro.next_sample is None
-    exchange(bench, gyro_chip.SIGNAL_PATH_RESET, 0x03)
+    exchange(bench, gyro_mpu.SIGNAL_PATH_RESET, 0x03)
     with pytest.raises(BoardError, match=r"0x68 of the ICM20689 = 0x07: the model knows bits 0x03"):
-        exchange(bench, gyro_chip.SIGNAL_PATH_RESET, 0x07)
+        exchange(bench, gyro_mpu.SIGNAL_PATH_RESET, 0x07)
 
 
 def test_an_icm20602_has_the_registers_of_its_data_sheet_after_reset(make_bench: type[Bench]) -> None:
@@ -122,16 +125,16 @@ def test_an_icm20602_has_the_registers_of_its_data_sheet_after_reset(make_bench:
     bench.context.run(100_000)
     told = {address: exchange(bench, address | 0x80, 0)[1] for address, _ in ICM20602.writable}
     assert {address: value for address, value in told.items() if value} == {
-        gyro_chip.CONFIG: 0x80,
-        gyro_chip.PWR_MGMT_1: 0x41,
+        gyro_mpu.CONFIG: 0x80,
+        gyro_mpu.PWR_MGMT_1: 0x41,
     }
 
 
 @pytest.mark.parametrize(
     ("address", "value", "message"),
     [
-        (gyro_chip.I2C_IF, 0, "while it may take its bus for I2C, expected register 0x70 with bit 0x40"),
-        (gyro_chip.PWR_MGMT_1, 0, "samples with CLKSEL 0, expected 1"),
+        (gyro_mpu.I2C_IF, 0, "while it may take its bus for I2C, expected register 0x70 with bit 0x40"),
+        (gyro_mpu.PWR_MGMT_1, 0, "samples with CLKSEL 0, expected 1"),
     ],
 )
 def test_an_icm20602_is_refused_when_it_samples_without_what_it_asks_for(
@@ -147,27 +150,27 @@ def test_an_icm20602_samples_at_another_rate_and_scale_when_it_is_set_up_so(make
     chip = bench.hardware.gyro
     chip.measure((0, 0, 0), 0, (100, -300, 20_000))
     for written, rate_hz, counts in (
-        ((gyro_chip.GYRO_CONFIG, 0x1A), 32_000, (100, -300, 20_000)),  # FCHOICE_B past the low-pass
-        ((gyro_chip.GYRO_CONFIG, 0x10), 8_000, (200, -600, 32_767)),  # +-1000 deg/s
-        ((gyro_chip.CONFIG, 0x01), 1_000, (200, -600, 32_767)),
-        ((gyro_chip.SMPLRT_DIV, 4), 200, (200, -600, 32_767)),
+        ((gyro_mpu.GYRO_CONFIG, 0x1A), 32_000, (100, -300, 20_000)),  # FCHOICE_B past the low-pass
+        ((gyro_mpu.GYRO_CONFIG, 0x10), 8_000, (200, -600, 32_767)),  # +-1000 deg/s
+        ((gyro_mpu.CONFIG, 0x01), 1_000, (200, -600, 32_767)),
+        ((gyro_mpu.SMPLRT_DIV, 4), 200, (200, -600, 32_767)),
     ):
         exchange(bench, *written)
         bench.context.run(6_000)
         before = chip.samples
         bench.context.run(50_000)
         assert chip.samples - before == rate_hz // 20
-        data = bytes(exchange(bench, gyro_chip.DATA + 8 | 0x80, *[0] * 6)[1:])
+        data = bytes(exchange(bench, gyro_mpu.DATA + 8 | 0x80, *[0] * 6)[1:])
         assert struct.unpack(">3h", data) == counts
 
 
 def test_an_icm20601_halves_the_counts_when_it_is_set_up_like_its_kin(make_bench: type[Bench]) -> None:
     bench = started(make_bench, ICM20601)
     bench.hardware.gyro.measure((2048, 0, 0), 0, (1000, -1001, 0))
-    for register in (gyro_chip.GYRO_CONFIG, gyro_chip.ACCEL_CONFIG):
+    for register in (gyro_mpu.GYRO_CONFIG, gyro_mpu.ACCEL_CONFIG):
         exchange(bench, register, 0x18)  # +-4000 deg/s, +-32 g
     bench.context.run(500)
-    data = bytes(exchange(bench, gyro_chip.DATA | 0x80, *[0] * 14)[1:])
+    data = bytes(exchange(bench, gyro_mpu.DATA | 0x80, *[0] * 14)[1:])
     assert struct.unpack(">7h", data) == (1024, 0, 0, 0, 500, -501, 0)
 
 
@@ -179,11 +182,11 @@ def test_an_icm20601_halves_the_counts_when_it_is_set_up_like_its_kin(make_bench
     ],
 )
 def test_spi_is_refused_when_data_is_read_too_fast(
-    make_bench: type[Bench], chip: gyro_chip.GyroKind, message: str
+    make_bench: type[Bench], chip: GyroKind, message: str
 ) -> None:
     bench = started(make_bench, chip, FAST)
     with pytest.raises(BoardError, match=message):
-        exchange(bench, gyro_chip.DATA | 0x80, 0)
+        exchange(bench, gyro_mpu.DATA | 0x80, 0)
 
 
 def test_byte_takes_its_clocks_when_polled(fast: Bench) -> None:
@@ -224,7 +227,7 @@ def test_data_reaches_memory_when_read_by_dma(fast: Bench) -> None:
     gyro = fast.hardware.gyro
     gyro.measure((1, -2, 2048), 333, (-32768, 32767, 100))
     fast.context.run(130)
-    fast.context.set_memory(TX, bytes([gyro_chip.DATA | 0x80]) + bytes(14))
+    fast.context.set_memory(TX, bytes([gyro_mpu.DATA | 0x80]) + bytes(14))
     fast.context.set_memory(RX, b"\xaa" * 20)
     start_dma(fast)
     assert not fast.context.asserted("DMA2_STREAM2")
@@ -246,7 +249,7 @@ def test_data_reaches_memory_when_read_by_dma(fast: Bench) -> None:
 def test_samples_follow_each_other_when_each_is_read_by_dma(fast: Bench) -> None:
     start_chip(fast, FAST)
     gyro = fast.hardware.gyro
-    fast.context.set_memory(TX, bytes([gyro_chip.DATA | 0x80]) + bytes(14))
+    fast.context.set_memory(TX, bytes([gyro_mpu.DATA | 0x80]) + bytes(14))
     for number in range(5):
         gyro.measure((number, 0, 0), 0, (0, 0, 0))
         fast.context.run(125)
@@ -287,7 +290,7 @@ def test_spi_is_refused_when_registers_are_accessed_too_fast(fast: Bench) -> Non
     with pytest.raises(
         BoardError, match=r"register 0x75 of the MPU6500 at 1.6875 MHz, expected 1 MHz at most"
     ):
-        exchange(fast, gyro_chip.WHO_AM_I | 0x80, 0)
+        exchange(fast, gyro_mpu.WHO_AM_I | 0x80, 0)
 
 
 @pytest.mark.parametrize(
@@ -309,22 +312,22 @@ def test_spi_is_refused_when_it_is_set_up_wrong(
     fast.set(register, **{field: value})
     fast.set("SPI1_CR1", SPE=1)
     with pytest.raises(BoardError, match=message):
-        exchange(fast, gyro_chip.WHO_AM_I | 0x80, 0)
+        exchange(fast, gyro_mpu.WHO_AM_I | 0x80, 0)
 
 
 def test_chip_is_refused_when_it_is_spoken_to_at_once(fast: Bench) -> None:
     configure(fast)
     with pytest.raises(BoardError, match=r"addressed 97\.0 ms before it answers after power-up"):
-        exchange(fast, gyro_chip.WHO_AM_I | 0x80, 0)
+        exchange(fast, gyro_mpu.WHO_AM_I | 0x80, 0)
 
 
 def test_chip_is_refused_when_its_reset_is_not_over(fast: Bench) -> None:
     configure(fast)
     fast.context.run(100_000)
-    exchange(fast, gyro_chip.PWR_MGMT_1, 0x80)
+    exchange(fast, gyro_mpu.PWR_MGMT_1, 0x80)
     fast.context.run(99_000)
     with pytest.raises(BoardError, match="before it answers after its reset"):
-        exchange(fast, gyro_chip.WHO_AM_I | 0x80, 0)
+        exchange(fast, gyro_mpu.WHO_AM_I | 0x80, 0)
 
 
 @pytest.mark.parametrize(
@@ -336,17 +339,17 @@ def test_chip_is_refused_when_its_reset_is_not_over(fast: Bench) -> None:
         *(
             (ICM20602, sent, "register 0x{:02X} of the ICM20602 = 0x{:02X}: the model".format(*sent))
             for sent in (
-                (gyro_chip.USER_CTRL, 0x10),  # I2C_IF_DIS of its kin
-                (gyro_chip.CONFIG, 0x80),
-                (gyro_chip.I2C_IF, 0x41),
-                (gyro_chip.SIGNAL_PATH_RESET, 0x07),
-                (gyro_chip.GYRO_CONFIG, 0x1C),
+                (gyro_mpu.USER_CTRL, 0x10),  # I2C_IF_DIS of its kin
+                (gyro_mpu.CONFIG, 0x80),
+                (gyro_mpu.I2C_IF, 0x41),
+                (gyro_mpu.SIGNAL_PATH_RESET, 0x07),
+                (gyro_mpu.GYRO_CONFIG, 0x1C),
             )
         ),
     ],
 )
 def test_chip_is_refused_when_a_register_is_not_modelled(
-    make_bench: type[Bench], chip: gyro_chip.GyroKind, sent: tuple[int, ...], message: str
+    make_bench: type[Bench], chip: GyroKind, sent: tuple[int, ...], message: str
 ) -> None:
     bench = make_bench(chip=chip)
     bench.full_speed()
@@ -359,7 +362,7 @@ def test_chip_is_refused_when_a_register_is_not_modelled(
 @pytest.mark.parametrize(("count", "whole"), [(14, False), (15, True), (7, True), (8, False)])
 def test_chip_is_refused_when_half_a_value_is_read(fast: Bench, count: int, whole: bool) -> None:
     start_chip(fast)
-    fast.context.store(TX, 1, gyro_chip.DATA | 0x80)
+    fast.context.store(TX, 1, gyro_mpu.DATA | 0x80)
     start_dma(fast, count)
     fast.context.run(200)
     expected = "read up to 0x[0-9A-F]{2}, the upper half of a value"
@@ -379,7 +382,7 @@ def test_samples_stop_when_the_chip_is_silent_or_asleep(fast: Bench) -> None:
     fast.context.run(1000)
     assert fast.read("EXTI_PR") == 0
     chip.silent = False
-    exchange(fast, gyro_chip.PWR_MGMT_1, 0x41)
+    exchange(fast, gyro_mpu.PWR_MGMT_1, 0x41)
     assert chip.next_sample is None
 
 
@@ -390,7 +393,7 @@ def test_bits_flip_when_errors_are_injected_and_repeat_with_the_seed(make_bench:
         configure(bench)
         bench.context.run(100_000)
         bench.hardware.spi.bit_error_rate = 0.1
-        return [exchange(bench, gyro_chip.WHO_AM_I | 0x80, 0)[1] for _ in range(20)]
+        return [exchange(bench, gyro_mpu.WHO_AM_I | 0x80, 0)[1] for _ in range(20)]
 
     assert identities(1) == identities(1) != identities(2)
     assert set(identities(1)) != {0x70}
@@ -414,6 +417,11 @@ def test_counts_are_the_host_builds_when_rates_are_turned() -> None:
     assert gyro_counts((1.0, 0.5, -0.25), Alignment.CW90) == (-469, 939, -235)
     assert gyro_counts((1.0, 0.5, -0.25), Alignment.CW180) == (-939, -469, -235)
     assert gyro_counts((1.0, 0.5, -0.25), Alignment.CW270) == (469, -939, -235)
+    assert gyro_counts((1.0, 0.5, -0.25), Alignment.CW0_FLIP) == (-939, 469, 235)  # its y axis stays
+    assert gyro_counts((1.0, 0.5, -0.25), Alignment.CW90_FLIP) == (469, 939, 235)
+    assert gyro_counts((1.0, 0.5, -0.25), Alignment.CW180_FLIP) == (939, -469, 235)
+    assert gyro_counts((1.0, 0.5, -0.25), Alignment.CW270_FLIP) == (-469, -939, 235)
+    assert gyro_counts((1.0, 0.5, -0.25), Alignment.CW0, (100, 7)) == (819, 409, -205)  # 70 mdeg/s
     assert gyro_counts((100.0, -100.0, 0.0), Alignment.CW0) == (32767, -32768, 0)
     assert accel_counts((0.0, 0.0, 9.80665), Alignment.CW180) == (0, 0, 2048)
 
@@ -427,4 +435,4 @@ def test_chip_continues_alike_when_restored(fast: Bench) -> None:
     chip.measure((9, 9, 9), 9, (9, 9, 9))
     fast.context.run(200)
     fast.hardware.registers.restore(registers)
-    assert exchange(fast, gyro_chip.DATA | 0x80, *[0] * 14)[1:] == [0, 1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0, 7]
+    assert exchange(fast, gyro_mpu.DATA | 0x80, *[0] * 14)[1:] == [0, 1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0, 7]

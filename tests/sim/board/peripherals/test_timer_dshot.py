@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import pytest
 
 from neuroflight.sim.board.core.context import BoardError
-from neuroflight.sim.board.devices.esc import Esc, Frame
-from neuroflight.sim.board.native.library import native_library
+from neuroflight.sim.board.devices.esc import Frame
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
@@ -94,7 +93,7 @@ def test_frames_follow_each_other_when_sent_again_and_again(fast: Bench) -> None
         (396, {}, r"motor 1: a bit lasts 1\.833 us"),
         (BIT, {4 * 10 + 2: 135}, "motor 3: frame 0x.* has the checksum"),
         (BIT, {4 * 7 + 1: 190}, r"motor 2: bit 8 is high for 0\.880 us"),
-        (BIT, {4 * 9 + 3: 0}, "motor 4: a frame ends after 9 bits"),
+        (BIT, {4 * 9 + 3: 0}, "motor 4: a frame breaks off in its bit 9, expected 16 bits"),
     ],
 )
 def test_frame_is_refused_when_only_a_later_one_is_wrong(
@@ -199,7 +198,9 @@ def test_frame_is_refused_when_its_pin_is_not_the_timers(fast: Bench) -> None:
 def test_pulses_without_end_are_refused_when_the_line_never_rests(fast: Bench) -> None:
     start_tim8(fast)
     send(fast, (48, 48, 48, 48), tail=0)
-    with pytest.raises(BoardError, match=r"motor 1: 0\.00 us of rest before a frame, expected 2 us or more"):
+    with pytest.raises(
+        BoardError, match=r"motor 1: 0\.000 us of rest before a frame, expected 2 bits or more \(3\.333 us\)"
+    ):
         fast.context.run(100)
         fast.read("TIM8_CNT")
 
@@ -271,79 +272,64 @@ def test_interrupt_comes_at_every_update_when_enabled(fast: Bench) -> None:
 
 
 def test_compare_waits_for_the_update_when_preloaded(fast: Bench) -> None:
-    seen: list[tuple[int, int, list[int]]] = []
-    fast.hardware.timers["TIM8"].outputs[1] = lambda start, length, highs: seen.append(
-        (start, length, list(highs))
-    )
+    seen: list[list[int]] = []
+    fast.hardware.native.on_train = lambda motor, edges, rest: seen.append([motor, *edges])
     start_tim8(fast)
     begin = fast.context.cycle
     fast.context.run_to(begin + 1000)
     fast.write("TIM8_CCR1", 100)
     fast.context.run_to(begin + 1300)
     fast.write("TIM8_CCR1", 0)
-    fast.context.run_to(begin + 2000)
+    fast.context.run_to(begin + 10_000)
+    fast.write("TIM8_CCR1", 1)  # a second pulse, that shows the first
+    fast.context.run(10)
     fast.read("TIM8_CNT")
-    high = [(s - begin, h) for s, length, highs in seen for s, h in zip([s], highs, strict=False) if h]
-    assert high == [(1080, 100)]
+    assert seen == [[0, begin + 1080, begin + 1180]]
 
 
 # The decoder alone
 
 
-class RefusedError(Exception):
-    """What a line's decoder says."""
-
-
-def refuse(message: str) -> NoReturn:
-    raise RefusedError(message)
-
-
-def make_esc(motor: int) -> Esc:
-    return Esc(native_library().ffi.new("struct esc *", {"motor": motor - 1}), refuse)
-
-
-def highs(bits: Sequence[int]) -> list[int]:
-    return [270 if bit else 135 for bit in bits]
+def edges(bits: Sequence[int], begin: int = 100_000, bit: int = BIT) -> list[int]:
+    """Edges on a line that rests low."""
+    return [
+        begin + i * bit + part
+        for i, one in enumerate(bits)
+        for part in (0, bit * 3 // 4 if one else bit * 3 // 8)
+    ]
 
 
 @pytest.mark.parametrize("value", [0, 1, 47, 48, 1047, 2047])
-def test_every_value_is_decoded_when_cut_anywhere(value: int) -> None:
-    pulses = [0, *highs(frame_bits(value, value % 2 == 1)), 0, 0]
-    for cut in range(len(pulses)):
-        frames: list[Frame] = []
-        esc = make_esc(1)
-        esc.on_frame = frames.append
-        esc.pulses(0, BIT, pulses[:cut])
-        esc.pulses(cut * BIT, BIT, pulses[cut:])
-        assert [(f.value, f.telemetry, f.cycle) for f in frames] == [(value, value % 2 == 1, 17 * BIT)]
+@pytest.mark.parametrize("protocol", [150, 300, 600])
+def test_every_value_is_decoded_when_it_is_the_first(bench: Bench, value: int, protocol: int) -> None:
+    frames: list[Frame] = []
+    bench.hardware.hear_frames(frames.append)
+    bit = BIT * 600 // protocol
+    bench.hardware.escs[0].take(edges(frame_bits(value, value % 2 == 1), bit=bit), rest=False)
+    bench.hardware.native.tell_frames()
+    assert frames == [Frame(1, 100_000 + 16 * bit, value, value % 2 == 1, protocol)]
 
 
 @pytest.mark.parametrize(
-    ("pulses", "message"),
+    ("bits", "spoil", "message"),
     [
-        ([*highs(frame_bits(48))[:15], 0], "motor 3: a frame ends after 15 bits, expected 16"),
-        (highs([*frame_bits(48)[:15], 1 - frame_bits(48)[15]]), "has the checksum"),
+        (frame_bits(48)[:15], {}, "motor 3: a frame breaks off in its bit 15, expected 16 bits"),
+        ([*frame_bits(48)[:15], 1 - frame_bits(48)[15]], {}, "motor 3: frame 0x.* has the checksum"),
         (
-            [180, *highs(frame_bits(0))[1:]],
-            r"bit 1 is high for 0\.833 us, expected 0\.625 us for a 0 or 1\.250",
+            frame_bits(0),
+            {1: 45},
+            r"bit 1 is high for 0\.833 us, expected 0\.528 us to 0\.640 us for a 0 or 1\.055 us to 1\.313 us",
         ),
-        ([*highs(frame_bits(0)), 0, *highs(frame_bits(0))], r"1\.67 us of rest before a frame"),
+        (
+            frame_bits(0),
+            {10: 20, 11: 20},
+            r"bit 6 begins 0\.093 us too late, expected bits of 1\.667 us each",
+        ),
     ],
 )
-def test_frame_is_refused_when_an_esc_would_not_take_it(pulses: list[int], message: str) -> None:
-    with pytest.raises(RefusedError, match=message):
-        make_esc(3).pulses(0, BIT, pulses)
-
-
-def test_bits_are_refused_when_there_is_a_pause_between_them() -> None:
-    esc = make_esc(2)
-    esc.pulses(0, BIT, highs(frame_bits(48))[:8])
-    with pytest.raises(RefusedError, match="motor 2: a frame pauses after 8 bits"):
-        esc.pulses(9 * BIT, BIT, highs(frame_bits(48))[8:])
-
-
-def test_bits_are_refused_when_their_length_changes_within_a_frame() -> None:
-    esc = make_esc(2)
-    esc.pulses(0, BIT, highs(frame_bits(48))[:8])
-    with pytest.raises(RefusedError, match=r"motor 2: a bit lasts 3\.333 us, the one before it 1\.667 us"):
-        esc.pulses(8 * BIT, 2 * BIT, [135] * 8)
+def test_frame_is_refused_when_an_esc_would_not_take_it(
+    bench: Bench, bits: list[int], spoil: dict[int, int], message: str
+) -> None:
+    late = [cycle + spoil.get(i, 0) for i, cycle in enumerate(edges(bits))]
+    with pytest.raises(BoardError, match=message):
+        bench.hardware.escs[2].take(late, rest=False)

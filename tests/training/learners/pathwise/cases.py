@@ -26,6 +26,9 @@ EVERY_BLOCK = (
 )
 
 
+MEASURED = EVERY_BLOCK.replace("rotor_estimate", "rotor_measured")
+
+
 @dataclass(frozen=True)
 class Case:
     """A batch of flights whose weights, commands and aircraft are drawn, the same at every call."""

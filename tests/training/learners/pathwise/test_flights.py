@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.control.motors import raised, throttle_mix
 from neuroflight.sim.control.observation import Observer
+from neuroflight.sim.physics.esc import rotor_words, words_speed
 from neuroflight.sim.physics.imu import quantised_rate
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.toolchain.contract import Mix
 from neuroflight.training.learners.pathwise.flights import Flights, Record
 from tests.sampling import sampled
-from tests.training.learners.pathwise.cases import RATE_HZ, WEIGHTS, Case
+from tests.training.learners.pathwise.cases import MEASURED, RATE_HZ, WEIGHTS, Case
 from tests.training.learners.pathwise.reference import Network
 
 NAMES = ("nf1", "iris", "hexa")
@@ -52,7 +53,7 @@ def flown_by_twin(case: Case) -> Record:
     for k in range(case.steps):
         last = np.array(rates[-case.samples :])
         gyro = np.concatenate([np.repeat(last[:1], case.samples - len(last), axis=0), last]).mean(axis=0)
-        sensed = {"rotor_speed": speeds[-1].astype(np.float32)} if "rotor_speed" in observer.names else {}
+        sensed = {"rotor_speed": twin.told_speed} if "rotor_speed" in observer.names else {}
         throttle = batch.throttle[:, k]
         raw = observer.observe(
             everyone, batch.setpoint[:, k], gyro.astype(np.float32), action, throttle, **sensed
@@ -112,11 +113,24 @@ def test_flight_is_the_twins_when_a_policy_flies(which: tuple[str, Mix]) -> None
         Case(noise=False, recurrent="lstm", strength=0.05, steps=400),
         Case(noise=False, activation="relu", squash=True, strength=0.05, steps=400),
         Case(observation="rate~15Hz,rate_error~40Hz@3,previous_motors@2,rotor_estimate~90Hz@1", noise=False),
+        Case(observation=MEASURED, noise=False, strength=0.05, steps=400),
     ],
-    ids=["a sample a control step", "gru", "lstm", "relu and squash", "low-passes and ages"],
+    ids=["a sample a control step", "gru", "lstm", "relu and squash", "low-passes and ages", "measured"],
 )
 def test_flight_is_the_twins_when_the_policy_differs(case: Case) -> None:
     assert_close(case, recorded(case), flown_by_twin(case))
+
+
+def test_rotor_speeds_are_those_of_the_esc_words_a_sample_late() -> None:
+    case = Case(observation="rotor_speed", rounded=True, strength=0.3, steps=300)
+    record = recorded(case)
+    late = np.concatenate([np.zeros_like(record.rotor_speed[:1]), record.rotor_speed[3:-1:4]])
+    told = words_speed(rotor_words(late))
+    seen = record.observation / case.surroundings.scales[0]
+    assert seen.max() > 100.0
+    near = np.abs(seen - told) <= 1e-3 * told
+    assert near.mean() > 0.999  # periods beside a whole microsecond are rounded in float32 or in float64
+    assert np.abs(seen - told).max() < 0.005 * told.max()
 
 
 def test_gyro_has_bias_white_noise_and_counts() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from neuroflight.toolchain.contract import Mix
 from neuroflight.training.learners.pathwise.flights import Flights
-from tests.training.learners.pathwise.cases import EVERY_BLOCK, WEIGHTS, Case
+from tests.training.learners.pathwise.cases import EVERY_BLOCK, MEASURED, WEIGHTS, Case
 
 Floats = NDArray[np.floating]
 
@@ -29,6 +29,8 @@ CASES = {
     "a gru before a layer": Case(recurrent="gru"),
     "an lstm alone": Case(hidden=(7,), recurrent="lstm"),
     "an lstm before a layer": Case(recurrent="lstm"),
+    "measured rotors": Case(observation=MEASURED),
+    "measured rotors without delay": Case(observation=MEASURED, noise=False),
     "low-passes": Case(observation=",".join(f"{name}~40Hz" for name in EVERY_BLOCK.split(","))),
     "ages": Case(observation=",".join(f"{name}@{1 + k}" for k, name in enumerate(EVERY_BLOCK.split(",")))),
     "all of a block": Case(observation="rate,rate~15Hz,rate~60Hz@3,rate@2,previous_motors@1,previous_motors"),

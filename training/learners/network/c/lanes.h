@@ -13,11 +13,13 @@
 #ifdef FLOAT64
 #define real_fma fma
 #define real_rint rint
+#define real_floor floor
 #define real_sqrt sqrt
 #define real_abs fabs
 #else
 #define real_fma fmaf
 #define real_rint rintf
+#define real_floor floorf
 #define real_sqrt sqrtf
 #define real_abs fabsf
 #endif
@@ -48,6 +50,12 @@ static inline void rows_clear(real *rows, size_t count)
 static inline void rows_copy(real *to, const real *from, size_t count)
 {
 	memcpy(to, from, count * LANES * sizeof(real));
+}
+
+static inline void rows_add(real *to, const real *more, size_t count)
+{
+	for (size_t i = 0; i < count * LANES; ++i)
+		to[i] += more[i];
 }
 
 static inline size_t padded(size_t count, size_t multiple)

@@ -68,6 +68,7 @@ struct gyro {
 
 enum { MIX_ATTITUDE_FIRST, MIX_CENTRED };
 enum { DSHOT_STEPS = 1999 };
+enum { ESC_BITS = 9, ESC_PERIOD_MAX = 65280 }; /* of the words of ESCs: bits, and the longest period [us] */
 
 struct term {
 	uint32_t block; /* the contract's code */
@@ -80,6 +81,7 @@ struct term {
 /* Constants of the model that a policy observes by; see toolchain/policy/model_constants.py. */
 struct estimator {
 	bool present;
+	bool measures; /* its rotors are those that ESCs tell */
 	uint32_t delay;
 	real speed_curve[3];
 	real rise, fall, gain_max, loss_max;
@@ -92,6 +94,10 @@ struct controller {
 	real idle;
 	real dt; /* [s], of a control step */
 	real integral_max;
+	bool sees_rotors; /* the speeds that ESCs tell */
+	bool rotors_late; /* those of the sample before */
+	bool words;       /* in words of nine bits */
+	real rotor_turn;  /* rad/s times the period of an electrical turn [us] */
 	uint32_t terms;
 	struct term term[TERMS_MAX];
 	struct estimator estimator;

@@ -16,7 +16,7 @@ static inline real estimate_target(const struct estimator *e, real command)
 }
 
 static void estimate_rotors(const struct plan *p, const struct tape *t, size_t k, const real *throttle,
-			    real *restrict seen)
+			    const real *told, real *restrict seen)
 {
 	const struct estimator *const model = &p->controller.estimator;
 	const real *const acting = estimate_acting(p, t, k);
@@ -30,7 +30,9 @@ static void estimate_rotors(const struct plan *p, const struct tape *t, size_t k
 			const real away = estimate_target(model, acting[i]) - before[i];
 			const real change = (away > R(0) ? model->rise : model->fall) * away;
 
-			after[i] = most(before[i] + limited(change, -model->loss_max, model->gain_max), R(0));
+			const real next = most(before[i] + limited(change, -model->loss_max, model->gain_max), R(0));
+
+			after[i] = model->measures ? told[i] : next;
 			seen[i] = after[i] - estimate_target(model, idle + (R(1) - idle) * throttle[l]);
 		}
 }
@@ -42,7 +44,7 @@ void estimate(struct estimates *e, const struct plan *p, const struct tape *t, s
 	const struct estimator *const model = &p->controller.estimator;
 	const real *const gyro = s->of[BLOCK_RATE];
 
-	estimate_rotors(p, t, k, throttle, s->of[BLOCK_ROTOR_ESTIMATE]);
+	estimate_rotors(p, t, k, throttle, s->of[BLOCK_ROTOR_SPEED], s->of[BLOCK_ROTOR_ESTIMATE]);
 	if (k == 0)
 		rows_copy(e->rate, gyro, 3);
 	for (size_t j = 0; k > 0 && j < 3; ++j) {
@@ -66,8 +68,8 @@ void estimate(struct estimates *e, const struct plan *p, const struct tape *t, s
 }
 
 /* by: derivatives by what step k keeps, from later steps; becomes those by what step k - 1 keeps. Adds to those by the motors'
- * fractions and by the gyro. */
-void estimate_back(struct estimates *by, const struct plan *p, const struct tape *t, size_t k, const struct sensed *by_s,
+ * fractions, by the speeds that ESCs tell and by the gyro. */
+void estimate_back(struct estimates *by, const struct plan *p, const struct tape *t, size_t k, struct sensed *by_s,
 		   real *by_gyro)
 {
 	const struct estimator *const model = &p->controller.estimator;
@@ -104,6 +106,11 @@ void estimate_back(struct estimates *by, const struct plan *p, const struct tape
 			const real by_after = by_speed[l] + seen[l] + R(2) * after[i] * turned + reacted;
 			const real passed = after[i] > R(0) ? by_after : R(0);
 
+			if (model->measures) {
+				by_s->of[BLOCK_ROTOR_SPEED][i] += by_after;
+				by_speed[l] = -reacted;
+				continue;
+			}
 			by_speed[l] = passed * (free ? R(1) - share : R(1)) - reacted;
 			if (by_acting != NULL)
 				by_acting[i] += free ? passed * share * slope : R(0);

@@ -1,7 +1,7 @@
 /* Flies a block for an episode and goes back through the flight, step by step, to the derivatives of its loss.
  *
- * Three operations are taken as the identity there: the gyro's noise and counts, the steps of DShot, and the clip of the
- * outputs, unless descent would move an output further outside. The battery's voltage is taken as constant over a sample. */
+ * Four operations are taken as the identity there: the gyro's noise and counts, the steps of DShot, those of the words in which
+ * ESCs tell rotor speeds, and the clip of the outputs, unless descent would move an output further outside. The battery's voltage is taken as constant over a sample. */
 #include "aircraft.h"
 #include "policy.h"
 
@@ -90,6 +90,29 @@ static void flight_sample(const struct plan *p, const struct block *b, const str
 	gyro_sample(gyros, p, b, n + 1u, &turning, rate_after);
 }
 
+/* A rotor's speed in the word of its ESC, as sim/physics/esc.py: the period in whole microseconds, of which nine bits fit. */
+static inline real speed_told(real turn, real speed)
+{
+	const real period = most(real_floor(turn / speed), R(1));
+	real step = R(1);
+
+	for (real full = R(1u << ESC_BITS); full < R(ESC_PERIOD_MAX); full += full)
+		step = period >= full ? step + step : step;
+	return period <= R(ESC_PERIOD_MAX) ? turn / (real_floor(period / step) * step) : R(0);
+}
+
+/* Those at control step k, or at the gyro sample before it, which are 0 before the first. */
+static void flight_sense_rotors(const struct plan *p, const struct tape *t, size_t k, real *told)
+{
+	const size_t sample = k * p->samples, late = k > 0 && p->controller.rotors_late;
+	const real *const speed = t->rotor_speed + (sample - late) * p->motors * LANES;
+
+	for (size_t m = 0; m < p->motors; ++m)
+		FOR_LANES(l)
+			told[m * LANES + l] = p->controller.words ? speed_told(p->controller.rotor_turn, speed[m * LANES + l]) :
+							   speed[m * LANES + l];
+}
+
 /* What the policy senses at control step k. action: its last output; not read at the first step. */
 static void flight_sense(const struct plan *p, const struct block *b, const struct tape *t, size_t k, const real *action,
 			 struct gyros *gyros, struct observer *observer, struct estimates *estimates, struct sensed *s)
@@ -101,7 +124,8 @@ static void flight_sense(const struct plan *p, const struct block *b, const stru
 	gyro_mean(gyros, p, s->of[BLOCK_RATE]);
 	observe_error(observer, &p->controller, k, setpoint, s, t->free + 3u * k * LANES);
 	rows_copy(s->of[BLOCK_THROTTLE], throttle, 1);
-	rows_copy(s->of[BLOCK_ROTOR_SPEED], t->rotor_speed + k * p->samples * rows, p->motors);
+	if (p->controller.sees_rotors)
+		flight_sense_rotors(p, t, k, s->of[BLOCK_ROTOR_SPEED]);
 	rows_clear(s->of[BLOCK_PREVIOUS_ACTION], p->motors);
 	rows_clear(s->of[BLOCK_PREVIOUS_MOTORS], p->motors);
 	if (k > 0) {
@@ -190,11 +214,11 @@ static void flight_sample_back(const struct plan *p, const struct block *b, cons
 }
 
 /* What goes back through the policy at control step k: from derivatives by the motors' fractions of that step to those by the
- * fractions and outputs before it, by the gyro and by the rotor speeds. by_action: by the outputs of step k; becomes those of
+ * fractions and outputs before it, by the gyro and by the rotor speeds that ESCs tell. by_action: by the outputs of step k; becomes those of
  * step k - 1. */
 static void flight_policy_back(const struct plan *p, const struct block *b, struct tape *t, size_t k, real *by_action,
 			       struct observer *by_observer, struct estimates *by_estimates, real *by_gyro,
-			       real *by_rotor_speed)
+			       real *by_told)
 {
 	const size_t rows = p->motors * LANES;
 	const real *const unclipped = t->unclipped + k * rows;
@@ -213,8 +237,7 @@ static void flight_policy_back(const struct plan *p, const struct block *b, stru
 		estimate_back(by_estimates, p, t, k, &by, by_gyro);
 	observe_error_back(by_observer, &p->controller, k, t->free + 3u * k * LANES, &by, by_gyro);
 	rows_copy(by_action, by.of[BLOCK_PREVIOUS_ACTION], p->motors);
-	for (size_t i = 0; i < rows; ++i)
-		by_rotor_speed[i] += by.of[BLOCK_ROTOR_SPEED][i];
+	rows_copy(by_told, by.of[BLOCK_ROTOR_SPEED], p->motors);
 	for (size_t i = 0; k > 0 && i < rows; ++i)
 		by_motors[i - rows] += by.of[BLOCK_PREVIOUS_MOTORS][i] / (R(1) - p->controller.idle);
 }
@@ -227,6 +250,7 @@ static void flight_backward(const struct plan *p, const struct block *b, struct 
 	struct by_gyros by_gyros = {0};
 	struct observer by_observer = {0};
 	struct estimates by_estimates = {0};
+	real by_told[MOTORS_MAX * LANES] = {0}; /* of the control step after the samples, by the speeds that ESCs tell */
 
 	rows_clear(t->by_motors, p->steps * p->motors);
 	rows_clear(t->by_value + p->steps * t->by_width * LANES, AGE_MAX * t->by_width);
@@ -240,8 +264,12 @@ static void flight_backward(const struct plan *p, const struct block *b, struct 
 			if (s + 1u < p->samples)
 				gyro_sample_back(&by_gyros, p, false, by.rate);
 			flight_sample_back(p, b, t, n, &by);
+			if (p->controller.rotors_late && s + 1u == p->samples)
+				rows_add(by.rotor_speed, by_told, p->motors);
 		}
-		flight_policy_back(p, b, t, k, by_action, &by_observer, &by_estimates, by_gyro, by.rotor_speed);
+		flight_policy_back(p, b, t, k, by_action, &by_observer, &by_estimates, by_gyro, by_told);
+		if (!p->controller.rotors_late)
+			rows_add(by.rotor_speed, by_told, p->motors);
 		loss_back_rate(p, b, t, k, by.rate);
 		for (size_t i = 0; i < 3u * LANES; ++i)
 			by_gyros.by_mean[i] = share * by_gyro[i];

@@ -78,7 +78,7 @@ struct estimates {
 
 void estimate(struct estimates *e, const struct plan *p, const struct tape *t, size_t k, const real *setpoint,
 	      const real *throttle, struct sensed *s);
-void estimate_back(struct estimates *by, const struct plan *p, const struct tape *t, size_t k, const struct sensed *by_s,
+void estimate_back(struct estimates *by, const struct plan *p, const struct tape *t, size_t k, struct sensed *by_s,
 		   real *by_gyro);
 
 /* ---- loss.c: the loss of a flight, and its derivatives by rates, outputs and motors ---- */

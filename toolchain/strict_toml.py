@@ -90,6 +90,16 @@ class StrictTable:
             raise self.error(key, f"got {shown(value)}, expected one line of 1 to {TEXT_MAX} characters")
         return value
 
+    def texts(self, key: str, fewest: int, most: int) -> tuple[str, ...]:
+        """Read a list of `fewest` to `most` lines, each of 1 to 200 characters."""
+        value = self._get(key, None)
+        if not isinstance(value, list) or not fewest <= len(value) <= most:
+            raise self.error(key, f"got {shown(value)}, expected a list of {fewest} to {most} texts")
+        parts = StrictTable(
+            {str(at): item for at, item in enumerate(value)}, self._where, self._error, f"{self._path}{key}."
+        )
+        return tuple(parts.text(name) for name in parts.names())
+
     def lines(self, key: str) -> list[str]:
         """Read text of one or more lines, unchanged."""
         value = self._get(key, None)

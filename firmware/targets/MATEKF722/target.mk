@@ -1,2 +1,0 @@
-# A board with an STM32F722; board.h says what is connected to it.
-include hal/stm32f7/image.mk
