@@ -195,7 +195,7 @@ static uint32_t flash_log_scan_place(const struct flash_log *log)
 	return log->block % log->chip.blocks;
 }
 
-/* What the block is that has just been read. `number`: sequence of the one before. */
+/* What the block is that has just been read. `number`: sequence of the log or mark that has begun, 0: not known yet. */
 static void flash_log_scan_block(struct flash_log *log, bool well)
 {
 	const struct flash_record *const found = &log->found;
@@ -204,10 +204,10 @@ static void flash_log_scan_block(struct flash_log *log, bool well)
 	if (well && flash_log_is_blank(found, sizeof *found)) {
 		kind = FLASH_BLANK;
 	} else if (well && flash_log_is_sound(found)) {
-		if (found->kind == FLASH_HEAD || found->kind == FLASH_MARK ||
-		    (found->kind == FLASH_BODY && (log->number == 0u || log->number == found->sequence)))
+		if (found->kind == FLASH_HEAD || found->kind == FLASH_MARK)
+			log->number = found->sequence;
+		if (found->kind <= FLASH_MARK && (log->number == 0u || log->number == found->sequence))
 			kind = (enum flash_kind)found->kind;
-		log->number = found->sequence;
 		if (found->sequence >= log->sequence) {
 			log->sequence = found->sequence;
 			log->marked = flash_log_scan_place(log);
@@ -506,8 +506,7 @@ static void flash_log_done(struct flash_log *log, bool well)
 		return;
 	case OWNER_WHOLE:
 		log->task = TASK_NONE;
-		if (!well || !flash_log_is_sound(&log->found) || log->found.kind != FLASH_WHOLE ||
-		    log->found.sequence != log->sequence)
+		if (!well || !flash_log_is_sound(&log->found))
 			flash_log_erase_all(log, true);
 		return;
 	case OWNER_PLACE:

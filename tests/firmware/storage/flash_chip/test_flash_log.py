@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import random
+import struct
+import zlib
 
 import pytest
 
 from neuroflight.sim.board.devices.flash_chip import KINDS
 from neuroflight.toolchain.contract import LogError, LogState
 from tests.firmware.storage.flash_chip.conftest import MakeRecorder, Recorder
+from tests.firmware.storage.flash_chip.reading import BODY, HEAD
 from tests.firmware.storage.recorder import CYCLES_A_SECOND, DONE, FAILED
+from tests.sampling import sampled
 
 PAYLOAD = {False: 250, True: 2042}
 BLOCK = {False: 255 * 250, True: 63 * 2042}
@@ -27,9 +31,9 @@ def flight(recorder: Recorder, data: bytes, rate: float = 125_000.0) -> None:
     assert recorder.end() == DONE
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", sampled(KINDS, "W25Q256", "M25P16", "W25M512", "W25N01G"))
 def test_a_log_is_read_back_when_it_was_written(board: MakeRecorder, kind: str) -> None:
-    recorder, data = board(kind), some(140_000)
+    recorder, data = board(kind), some(BLOCK[KINDS[kind].nand] + 3000)
     recorder.ready()
     assert recorder.status.logs == 0
     nand = recorder.chip.kind.nand
@@ -49,7 +53,7 @@ def test_a_log_is_read_back_when_it_was_written(board: MakeRecorder, kind: str) 
     assert recorder.read(0) == data
 
 
-@pytest.mark.parametrize("kind", ["W25Q16", "W25N01G"])
+@pytest.mark.parametrize("kind", sampled(["W25Q16", "W25N01G"], "W25Q16"))
 @pytest.mark.parametrize("extra", [-1, 0, 1])
 @pytest.mark.parametrize("of", ["page", "block"])
 def test_a_log_of_whole_pages_and_blocks_ends_where_it_ended(
@@ -77,13 +81,14 @@ def few_blocks(board: MakeRecorder, kind: str, good: int = 16) -> Recorder:
     return recorder
 
 
-@pytest.mark.parametrize("kind", ["W25Q80", "W25N01G"])
+@pytest.mark.parametrize("kind", sampled(["W25Q80", "W25N01G"], "W25N01G"))
 def test_the_chip_is_full_when_one_block_is_left_and_empty_when_it_was_erased(
     board: MakeRecorder, kind: str
 ) -> None:
-    recorder = few_blocks(board, kind)
+    good = {"W25Q80": 16, "W25N01G": 7}[kind]
+    recorder = few_blocks(board, kind, good)
     block = BLOCK[recorder.chip.kind.nand]
-    logs = [some(2 * block + 100, seed) for seed in range(4)]
+    logs = [some(2 * block + 100, seed) for seed in range((good - 4) // 3)]
     for log in logs:
         flight(recorder, log, 500_000.0)
     assert recorder.status.empty == 3
@@ -101,19 +106,19 @@ def test_the_chip_is_full_when_one_block_is_left_and_empty_when_it_was_erased(
     recorder.boot()
     recorder.scanned()
     assert recorder.state == LogState.FULL
-    assert [recorder.read(i, 2000) for i in range(5)] == [*logs, last[:taken]]
+    assert [recorder.read(i, 2000) for i in range(len(logs) + 1)] == [*logs, last[:taken]]
     erases = sum(recorder.chip.memory.erases.values())
     assert recorder.erase() == DONE
-    assert sum(recorder.chip.memory.erases.values()) == erases + 15, "what was blank is left alone"
-    assert (recorder.state, recorder.status.logs, recorder.status.empty) == (LogState.READY, 0, 14)
+    assert sum(recorder.chip.memory.erases.values()) == erases + good - 1, "what was blank is left alone"
+    assert (recorder.state, recorder.status.logs, recorder.status.empty) == (LogState.READY, 0, good - 2)
     assert recorder.erase() == DONE, "there is nothing to erase"
-    assert sum(recorder.chip.memory.erases.values()) == erases + 15
+    assert sum(recorder.chip.memory.erases.values()) == erases + good - 1
 
 
 def test_all_blocks_wear_alike_when_logs_are_written_and_erased(board: MakeRecorder) -> None:
     recorder = board("W25Q80")
     recorder.ready()
-    for seed in range(1, 100):
+    for seed in range(1, 50):
         flight(recorder, some(300, seed), 500_000.0)
         assert recorder.entry(0) == (f"LOG{recorder.log.sequence:05}.BBL", 300)
         assert recorder.erase() == DONE
@@ -121,7 +126,7 @@ def test_all_blocks_wear_alike_when_logs_are_written_and_erased(board: MakeRecor
     assert max(wear) - min(wear) <= 1
 
 
-@pytest.mark.parametrize("kind", ["W25Q80", "W25M02G"])
+@pytest.mark.parametrize("kind", sampled(["W25Q80", "W25M02G"], "W25Q80"))
 def test_a_log_may_lie_over_the_end_of_the_chip(board: MakeRecorder, kind: str) -> None:
     recorder = few_blocks(board, kind)
     block = BLOCK[recorder.chip.kind.nand]
@@ -134,6 +139,43 @@ def test_a_log_may_lie_over_the_end_of_the_chip(board: MakeRecorder, kind: str) 
         assert [recorder.read(i, 2000) for i in range(3)] == logs
         recorder.boot()
         recorder.ready()
+
+
+def put_record(recorder: Recorder, block: int, sequence: int, kind: int, *, torn: bool = False) -> None:
+    """A block begins with that record; torn: a bit of its sum is not what it should be."""
+    memory = recorder.chip.memory
+    record = struct.pack("<4sIHH", b"NFLG", sequence, kind, 0)
+    record += struct.pack("<I", zlib.crc32(record) ^ torn)
+    memory.put(block * memory.kind.pages, record.ljust(memory.kind.whole_page, b"\xff"))
+
+
+def test_a_block_of_an_older_log_at_the_begin_is_no_part_of_one_over_the_end(
+    board: MakeRecorder,
+) -> None:
+    """A block that could not be erased."""
+    recorder = few_blocks(board, "W25Q80")
+    flight(recorder, some(12 * BLOCK[False]), 1_000_000.0)
+    assert recorder.erase() == DONE
+    put_record(recorder, 0, 1, BODY)
+    data = some(3 * BLOCK[False] + 100)
+    for _ in range(2):
+        recorder.boot()
+        recorder.ready()
+        if not recorder.status.logs:
+            flight(recorder, data, 1_000_000.0)
+        assert recorder.read(0) == data
+
+
+def test_a_torn_record_is_no_log(board: MakeRecorder) -> None:
+    recorder = board("W25Q80")
+    recorder.ready()
+    flight(recorder, some(1000))
+    put_record(recorder, 1, 2, HEAD, torn=True)
+    recorder.boot()
+    recorder.ready()
+    assert (recorder.status.logs, recorder.status.empty) == (1, 13)
+    flight(recorder, some(1000, 2))
+    assert recorder.read(1) == some(1000, 2)
 
 
 @pytest.mark.parametrize("kind", ["W25Q80", "W25N01G"])
