@@ -45,7 +45,7 @@ def open_image(
 ) -> EmulatedPort:
     """Return the image on a board of its own, to be closed by `ends`. log: of UART3, if any."""
     from neuroflight.sim.board.debug.fault_injection import parse_fault
-    from neuroflight.sim.board.matekf722 import fitted_gyro, image_wiring
+    from neuroflight.sim.board.fitted import fitted_gyro, image_wiring
     from neuroflight.sim.ports.emulator import EmulatedPort
     from neuroflight.toolchain.image.elf import read_flashable
 

@@ -136,7 +136,7 @@ class Emulate(Request):
 
         from neuroflight.sim.board.debug.gdb import GdbServer
         from neuroflight.sim.board.devices.log_place import open_log_chip
-        from neuroflight.sim.board.matekf722 import MATEKF722, fitted_gyro, image_wiring
+        from neuroflight.sim.board.fitted import MATEKF722, fitted_gyro, image_wiring
         from neuroflight.sim.board.peripherals.usart import Format
         from neuroflight.sim.board.serial.bridge import Bridge, UartLine
         from neuroflight.sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image

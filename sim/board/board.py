@@ -20,8 +20,8 @@ from neuroflight.sim.board.devices.esc import SILENT_S, Esc, Frame
 from neuroflight.sim.board.devices.gyro_chip import GyroChip, GyroKind
 from neuroflight.sim.board.devices.gyro_mpu import ICM20602
 from neuroflight.sim.board.devices.log_place import LogChip, LogPlace
+from neuroflight.sim.board.fitted import MATEKF722
 from neuroflight.sim.board.inspection import Inspection
-from neuroflight.sim.board.matekf722 import MATEKF722
 from neuroflight.sim.board.native.library import Native, NativeDevice, native_library
 from neuroflight.sim.board.peripherals.adc import Adc, AdcCommon
 from neuroflight.sim.board.peripherals.dma import DmaSystem

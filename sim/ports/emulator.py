@@ -29,7 +29,7 @@ from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, tak
 from neuroflight.sim.board.debug.variables import read_variables
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
 from neuroflight.sim.board.devices.log_place import LogChip, open_log_chip
-from neuroflight.sim.board.matekf722 import FULL_VOLTS, Gyro, fitted_gyro, image_wiring
+from neuroflight.sim.board.fitted import FULL_VOLTS, Gyro, fitted_gyro, image_wiring
 from neuroflight.sim.board.peripherals.signals import uart_name
 from neuroflight.sim.board.serial.idle_board import configured
 from neuroflight.sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings

@@ -4,43 +4,19 @@ from __future__ import annotations
 
 import json
 
-import numpy as np
 import onnx
 
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.control.estimator import model_constants
-from neuroflight.toolchain.contract import META_MODEL, observation_blocks, observation_count
-from neuroflight.toolchain.policy.freeze import to_onnx
+from neuroflight.toolchain.contract import META_MODEL
+from tests.flights.random_policy import frozen
 
 OBSERVATION = "rate_error,rotor_speed,rotor_speed@2"
 
 
 def observer() -> bytes:
     """A policy of random weights that turns its aircraft a little, by rate errors and rotor speeds."""
-    rng = np.random.default_rng(8)
-    inputs = observation_count(observation_blocks(OBSERVATION), 4)
-    state = {}
-    for name, outputs, width, size in (
-        ("mlp_extractor.policy_net.0", 16, inputs, 1.0),
-        ("mlp_extractor.policy_net.2", 16, 16, 1.0),
-        ("action_net", 4, 16, 0.1),
-    ):
-        state[f"{name}.weight"] = rng.normal(0, size * width**-0.5, (outputs, width)).astype(np.float32)
-        state[f"{name}.bias"] = rng.normal(0, 0.1 * size, outputs).astype(np.float32)
-    aircraft = load_aircraft("nf1")
-    config = {
-        "aircraft": {"name": aircraft.name, "sha256": aircraft.sha256},
-        "observation": OBSERVATION,
-        "observation_scale": [0.5] * 3 + [0.001] * 8,
-        "control_rate_hz": 1000,
-        "filters": [],
-        "hidden": [16, 16],
-        "activation": "tanh",
-        "output": {"scale": 0.5, "offset": 0.4, "squash": True},
-        "idle": 0.1,
-        "motors": 4,
-    }
-    return to_onnx(config, state)
+    return frozen(OBSERVATION, 0.1, [0.5] * 3 + [0.001] * 8)
 
 
 def with_model(policy: bytes) -> bytes:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuroflight.sim.board.matekf722 import GYROS, fitted_gyro
+from neuroflight.sim.board.fitted import GYROS, fitted_gyro
 from neuroflight.sim.flight.scenario import Scenario, Segment
 from neuroflight.sim.flight.trace import Trace
 from neuroflight.sim.ports.emulator import EmulatedPort

@@ -15,7 +15,7 @@ from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.debug.variables import pointers_in, read_variables
-from neuroflight.sim.board.matekf722 import GYROS
+from neuroflight.sim.board.fitted import GYROS
 from neuroflight.sim.board.peripherals.usart import CRSF as CRSF_FORMAT
 from neuroflight.sim.control import sticks
 from neuroflight.sim.design.figures import hover_throttle

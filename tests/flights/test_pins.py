@@ -24,7 +24,7 @@ from neuroflight.sim.board.devices.gyro_bmi import BMI270
 from neuroflight.sim.board.devices.gyro_chip import GyroKind
 from neuroflight.sim.board.devices.gyro_mount import accel_counts
 from neuroflight.sim.board.devices.gyro_mpu import ICM20602, MPU6500
-from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, GYROS, MATEKF722
+from neuroflight.sim.board.fitted import FULL_VOLTS, GYRO, GYROS, MATEKF722
 from neuroflight.sim.board.peripherals.option_bytes import OptionBytes
 from neuroflight.sim.board.serial.bridge import LineTransport, UartLine
 from neuroflight.sim.board.serial.idle_board import configured

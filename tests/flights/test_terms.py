@@ -11,17 +11,15 @@ import pytest
 from numpy.typing import NDArray
 
 from neuroflight.cli.main import main
-from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.control.controller import PolicyController
 from neuroflight.sim.flight.scenario import Scenario, Segment
 from neuroflight.sim.flight.trace import Trace
 from neuroflight.sim.ports.host import HostPort
 from neuroflight.sim.ports.library import ReferencePort
 from neuroflight.sim.ports.python_controller import ControllerPort
-from neuroflight.toolchain.contract import observation_blocks, observation_count
-from neuroflight.toolchain.policy.freeze import to_onnx
 from neuroflight.toolchain.policy.model import read_policy
 from tests.conftest import build_kept
+from tests.flights.random_policy import frozen
 
 Flown = Callable[..., Trace]
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,34 +40,6 @@ BUSY = Scenario(
 )
 
 
-def frozen(observation: str) -> bytes:
-    """A policy.onnx of random weights, too weak to turn the aircraft faster than its gyro's full scale."""
-    rng = np.random.default_rng(8)
-    inputs = observation_count(observation_blocks(observation), 4)
-    state = {}
-    for name, outputs, width, size in (
-        ("mlp_extractor.policy_net.0", 16, inputs, 1.0),
-        ("mlp_extractor.policy_net.2", 16, 16, 1.0),
-        ("action_net", 4, 16, 0.1),
-    ):
-        state[f"{name}.weight"] = rng.normal(0, size * width**-0.5, (outputs, width)).astype(np.float32)
-        state[f"{name}.bias"] = rng.normal(0, 0.1 * size, outputs).astype(np.float32)
-    aircraft = load_aircraft("nf1")
-    config = {
-        "aircraft": {"name": aircraft.name, "sha256": aircraft.sha256},
-        "observation": observation,
-        "observation_scale": [0.5] * inputs,
-        "control_rate_hz": 1000,
-        "filters": [],
-        "hidden": [16, 16],
-        "activation": "tanh",
-        "output": {"scale": 0.5, "offset": 0.4, "squash": True},
-        "idle": IDLE,
-        "motors": 4,
-    }
-    return to_onnx(config, state)
-
-
 class Recorder(PolicyController):
     """A policy's controller that keeps its outputs."""
 
@@ -87,7 +57,7 @@ class Recorder(PolicyController):
 @pytest.fixture(scope="module")
 def folder() -> Path:
     """The host's build around a policy of such terms."""
-    return build_kept("HOST", frozen(TERMS), "terms")
+    return build_kept("HOST", frozen(TERMS, IDLE), "terms")
 
 
 @pytest.fixture(scope="module")

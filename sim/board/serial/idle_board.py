@@ -22,7 +22,7 @@ from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
 from neuroflight.sim.board.devices.log_place import LogChip
-from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYRO, MATEKF722, Gyro
+from neuroflight.sim.board.fitted import FULL_VOLTS, GYRO, MATEKF722, Gyro
 from neuroflight.sim.board.peripherals.signals import uart_name
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.serial.bridge import MSP_UART, LineTransport, UartLine

@@ -14,7 +14,7 @@ from neuroflight.flash.board.info import Info, read_info
 from neuroflight.flash.link.client import Client
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
-from neuroflight.sim.board.matekf722 import FULL_VOLTS
+from neuroflight.sim.board.fitted import FULL_VOLTS
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
 from neuroflight.toolchain.contract import (

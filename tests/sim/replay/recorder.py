@@ -13,7 +13,7 @@ import numpy as np
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.debug.variables import read_variables
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
-from neuroflight.sim.board.matekf722 import GYRO
+from neuroflight.sim.board.fitted import GYRO
 from neuroflight.sim.flight.loop import fly
 from neuroflight.sim.flight.scenario import Scenario
 from neuroflight.sim.physics.twin import Twin

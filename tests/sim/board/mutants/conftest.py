@@ -12,7 +12,7 @@ import pytest
 
 from neuroflight.flash.link.msp import encode, request
 from neuroflight.sim.board.board import Board, Report
-from neuroflight.sim.board.matekf722 import FULL_VOLTS, GYROS
+from neuroflight.sim.board.fitted import FULL_VOLTS, GYROS
 from neuroflight.sim.board.peripherals.usart import SBUS, Format
 from neuroflight.sim.control.sticks import channels
 from neuroflight.sim.ports.receiver_frames import sbus_frame

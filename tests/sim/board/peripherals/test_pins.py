@@ -9,7 +9,7 @@ import pytest
 
 from neuroflight.sim.board.core.context import BoardError
 from neuroflight.sim.board.devices.gyro_mpu import ICM20602
-from neuroflight.sim.board.matekf722 import MATEKF722
+from neuroflight.sim.board.fitted import MATEKF722
 from neuroflight.toolchain.boards.facts import Bus, Chip, GyroPlace, Pin, Uart
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from neuroflight.sim.board.devices import gyro_mpu
 from neuroflight.sim.board.devices.gyro_chip import GyroKind
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
 from neuroflight.sim.board.devices.gyro_mpu import ICM20601, ICM20602, ICM20689, MPU6500, MpuKind
-from neuroflight.sim.board.matekf722 import GYROS
+from neuroflight.sim.board.fitted import GYROS
 from neuroflight.toolchain.contract import Alignment
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from neuroflight.flash.settings.values import Settings
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.debug.gdb import GdbServer
 from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from neuroflight.sim.board.matekf722 import GYROS
+from neuroflight.sim.board.fitted import GYROS
 from neuroflight.sim.board.serial import idle_board as idle_board
 from neuroflight.sim.board.serial.bridge import Bridge, PtyEnd, UartLine
 from neuroflight.sim.board.serial.idle_board import (
