@@ -1,6 +1,7 @@
 # Neuroflight's front door. Every target works first on a fresh machine; each is one call into a room.
 # Each brings the packages that it needs and no others: EXTRA is what the largest of the targets asked for needs.
-TARGET   ?= MATEKF722
+# Who flashes or flies without naming a board means the one that was built for last.
+TARGET   ?= $(or $(if $(filter flash emulate,$(MAKECMDGOALS)),$(shell sed -n 2p build/built 2>/dev/null)),MATEKF722)
 # The folder of its outputs: the name that a TOML file gives the board.
 NAME      = $(if $(filter %.toml,$(TARGET)),$(shell sed -n 's/^name = "\(.*\)"$$/\1/p' "$(TARGET)"),$(TARGET))
 AIRCRAFT ?= nf1

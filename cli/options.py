@@ -92,6 +92,10 @@ Aircraft = Annotated[str, Option("NAME|FILE", "shipped name or a .toml file")]
 Seed = Annotated[int, Option("S", "of everything that is drawn", low=0, high=2**32 - 1)]
 Plot = Annotated[Path | None, picture("draw it")]
 Jobs = Annotated[int, Option("N", "processes at a time", low=1, high=64, recorded=False)]
+FlownSettings = Annotated[
+    tuple[str, ...],
+    Option("NAME=VALUE", "fly with this setting of the firmware, see docs/reference/settings.md", once=True),
+]
 Header = Annotated[
     tuple[str, ...],
     Option(

@@ -17,8 +17,10 @@ from pathlib import Path
 from neuroflight.cli.compare.compare import DEFAULT, SUITES
 from neuroflight.cli.tree import COMMANDS, leaf_parser
 from neuroflight.toolchain.boards.allocation import Allocation
+from neuroflight.toolchain.boards.facts import Board
+from neuroflight.toolchain.boards.gyro_kinds import FILES
 from neuroflight.toolchain.boards.table import boards
-from neuroflight.toolchain.boards.verdict import COMMON, judge
+from neuroflight.toolchain.boards.verdict import COMMON, Verdict, judge
 from neuroflight.toolchain.files import write_text_if_changed
 from neuroflight.toolchain.rendering.msp_page import msp_tables
 from neuroflight.toolchain.rendering.settings_page import settings_table
@@ -208,44 +210,58 @@ def boards_page() -> str:
     """Return every board of the table: what it is, whether it is flown, and what it flies without."""
     verdicts = [judge(board) for board in boards().values()]
     flown = [verdict for verdict in verdicts if verdict.allocation is not None]
+    missing = {verdict.board.name: _missing(verdict) for verdict in flown}
     rows = [
         (
-            *(f"`{verdict.board.name}`", verdict.board.maker, " ".join(verdict.board.gyro_kinds)),
-            *(str(verdict.motors), verdict.log, _uarts(verdict.allocation)),
-            _cell("; ".join(verdict.without)),
+            *(f"`{verdict.board.name}`", verdict.board.maker, _chips(verdict)),
+            *(str(verdict.motors), verdict.log, _uarts(verdict.allocation), _turn(verdict.board)),
+            _cell("; ".join(missing[verdict.board.name])),
         )
         for verdict in flown
     ]
+    reasons: dict[str, list[str]] = {}
+    for verdict in verdicts:
+        if verdict.allocation is None:
+            reasons.setdefault(verdict.fault, []).append(f"`{verdict.board.name}`")
     parts = [
         "# Boards",
         WRITTEN,
         f"Of the {len(verdicts)} boards with an STM32F722 that public configurations name, "
-        f"{len(flown)} can be built for: `make firmware TARGET=NAME`. The code is the same for "
-        "all; a description of the board in its image differs. What stands here follows from the "
-        "configurations as of August 2026, and nobody has flown each of these boards: the first "
-        "of a kind is [brought up](../guides/board-bring-up.md), the turn of its gyro checked by "
-        "hand. A board that is missing or wired otherwise: [Other "
+        f"{len(flown)} can be built for: `make firmware TARGET=NAME`. {sum(not m for m in missing.values())} "
+        "of them fly with all that the firmware drives on any board: the last column is empty. No board's "
+        f"{COMMON} is used.",
+        "The code is the same for all; a description of the board in its image differs. What stands here "
+        "follows from the configurations as of August 2026; each board was flown as an emulated one, hardly "
+        "any in the air: the first of a kind is [brought up](../guides/board-bring-up.md), the turn of its "
+        "gyro checked by hand. A board that is missing or wired otherwise: [Other "
         "boards](../guides/other-boards.md).",
-        f"No board's {COMMON} is used, nor a BMI270. A board that its maker turns by an angle of its "
-        "own does not arm before the pilot has set that (`board_yaw_deg` and its kin) and "
-        "`gyro_alignment`: it stands under *flies without*.",
-        "## Flown",
-        "UARTs: of the receiver, of MSP, of the second serial port.",
-        _table("board", "maker", "gyro chips told", "motors", "log", "UARTs", "flies without", *rows),
         "## Not flown",
-        _table(
-            *("board", "maker", "gyro chips told", "why"),
-            *(
-                (
-                    *(f"`{verdict.board.name}`", verdict.board.maker),
-                    *(" ".join(verdict.board.gyro_kinds), _cell(verdict.fault)),
-                )
-                for verdict in verdicts
-                if verdict.allocation is None
-            ),
-        ),
+        _table("why", "boards", *((_cell(why), " ".join(names)) for why, names in reasons.items())),
+        "## Flown",
+        "Gyro chips: those that boards of the name may carry; with one in brackets it is flown if the image "
+        "was built with its maker's file (`--gyro-file`: [the gyro "
+        "chip](../guides/board-bring-up.md#the-gyro-chip)). Log: "
+        "where it is kept. UARTs: of the receiver, of MSP, of the second serial port. Turned: by its maker "
+        "(roll, pitch, yaw in degrees), so that the arrow points forward; the firmware knows it. Flies "
+        "without: what other boards have and this one, or the firmware on it, has not.",
+        _table(*("board", "maker", "gyro chips", "motors", "log", "UARTs", "turned", "flies without"), *rows),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _missing(verdict: Verdict) -> list[str]:
+    """Return what a board flies without, but for what other columns say."""
+    told = "gyro ", "log: no chip is told"
+    return [line for line in verdict.without if not line.startswith(told)]
+
+
+def _chips(verdict: Verdict) -> str:
+    kinds = verdict.board.gyro_kinds
+    return " ".join(f"({kind})" if kind in FILES else kind for kind in kinds)
+
+
+def _turn(board: Board) -> str:
+    return ", ".join(map(str, board.turn_deg)) if any(board.turn_deg) else ""
 
 
 def _uarts(allocation: Allocation | None) -> str:

@@ -14,6 +14,7 @@ from neuroflight.cli.report import Account, print_table
 from neuroflight.cli.requests import Argument, Option
 
 if TYPE_CHECKING:
+    from neuroflight.flash.betaflight.board_turn import Turn
     from neuroflight.flash.betaflight.diff_file import Diff
     from neuroflight.flash.betaflight.plan import ImportPlan
     from neuroflight.flash.settings.text import Value
@@ -51,8 +52,8 @@ class Import(OnPort):
             settings = Settings(client)
             present = {stored.name: stored.value for stored in settings.read()}
             board = messages.board_info(client.request(Msp.BOARD_INFO)).target
-            outputs = _outputs(diff.board)
-            plan = fitted(plan_import(diff, board, present, self.rate_profile, outputs), settings)
+            planned = plan_import(diff, board, present, self.rate_profile, *_facts(diff.board, board))
+            plan = fitted(planned, settings)
             changes = needed(plan, present)
             told = Account(self.json)
             document = _document(diff, plan) | changed(changes, stored=not self.dry_run)
@@ -71,12 +72,17 @@ class Import(OnPort):
         return told.end(document, f"{self.file}: {done}")
 
 
-def _outputs(name: str) -> list[str]:
-    """Return the pins of a known board's motor outputs, as C06; none of another's."""
+def _facts(name: str, here: str) -> tuple[list[str], Turn | None]:
+    """Return the pins of a known board's motor outputs, as C06, and what its maker turns it by.
+
+    Of another board none are known, and of one that is `here`, with a description of its own, no turn.
+    """
+    from neuroflight.toolchain.boards.facts import NOT_TURNED
     from neuroflight.toolchain.boards.table import boards
 
-    board = boards().get(name)
-    return [] if board is None else [f"{pin.port}{pin.number:02}" for pin in board.motors]
+    if (board := boards().get(name)) is None:
+        return [], None if name == here else NOT_TURNED
+    return [f"{pin.port}{pin.number:02}" for pin in board.motors], board.turn_deg
 
 
 def _document(diff: Diff, plan: ImportPlan) -> dict[str, Any]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from neuroflight.flash.board.info import Info as FirmwareInfo
     from neuroflight.flash.board.overview import Overview
     from neuroflight.flash.link.client import Client
+    from neuroflight.flash.link.messages import EscReport
     from neuroflight.flash.link.records import Fault, Tasks
 
 
@@ -173,8 +174,20 @@ def _status_rows(told: Overview) -> list[tuple[str, str]]:
             f"heading {attitude.heading_deg:.0f} deg",
         ),
         ("load", f"{told.load_percent} %, control period {told.control_period_us} us"),
+        *([("rotors", ", ".join(map(_rotor, told.escs)))] if told.escs else []),
     ]
     return rows
+
+
+def _rotor(esc: EscReport) -> str:
+    """Return what one motor's ESC tells: 7,210 rpm (31 deg C, 2 % of its answers lost)."""
+    if esc.errors >= 1.0:
+        return "silent"
+    told = [f"{esc.temperature_c} deg C"] if esc.temperature_c else []
+    told += [f"{esc.volts:.2f} V"] if esc.volts else []
+    told += [f"{esc.amps:.1f} A"] if esc.amps else []
+    told += [f"{100 * esc.errors:.1f} % of its answers lost"] if esc.errors else []
+    return f"{esc.speed_rpm:,} rpm{' (' + ', '.join(told) + ')' if told else ''}"
 
 
 # --- tasks -----------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from neuroflight.cli.report import Account, print_facts, print_json, print_table
 from neuroflight.cli.requests import Argument, Option, Request
 
 if TYPE_CHECKING:
+    from neuroflight.toolchain.boards.facts import GyroPlace
     from neuroflight.toolchain.boards.verdict import Verdict
 
 
@@ -106,25 +107,40 @@ class Import(Request):
 
 def _row(verdict: Verdict) -> tuple[str, ...]:
     board = verdict.board
-    flies = verdict.fault or "; ".join(("yes", *verdict.without))
+    flies = verdict.fault or "; ".join(("with --gyro-file" if verdict.file else "yes", *verdict.without))
     return board.name, board.maker, " ".join(board.gyro_kinds), str(verdict.motors), verdict.log, flies
 
 
 def facts(verdict: Verdict) -> list[tuple[str, str]]:
     """Return the verdict on one board as labels and texts."""
+    from neuroflight.toolchain.boards.board_file import AXES
+
     board, served = verdict.board, verdict.allocation
+    places = board.gyros if served is None else [place for place in served.gyros if place.spi != 0]
+    turn = ", ".join(f"{axis} {turn}" for axis, turn in zip(AXES, board.turn_deg, strict=True) if turn)
     rows = [
         ("board", f"{board.name}, maker {board.maker or 'not told'}"),
         ("gyro", " ".join(verdict.gyros or board.gyro_kinds) or "not told"),
+        *zip(("its place", "second gyro"), map(_place, places), strict=False),
+        *([("turned", f"{turn} deg by its maker, so that its arrow points forward")] if turn else []),
         ("motors", " ".join(map(str, board.motors if served is None else served.motors))),
         ("log", verdict.log),
     ]
+    if verdict.file:
+        rows.append(("asks for", f"--gyro-file, {verdict.file}"))
     if served is None:
         return [*rows, ("flies", f"no: {verdict.fault}")]
     lines = (("receiver", served.receiver), ("MSP", served.msp), ("second serial port", served.second))
     rows += [(what, f"UART{number}") for what, number in lines if number is not None]
     rows.append(("DMA", ", ".join(f"{request} {stream}" for request, stream in served.streams.items())))
     return [*rows, *(("without", line) for line in verdict.without)]
+
+
+def _place(place: GyroPlace) -> str:
+    from neuroflight.toolchain.boards.board_file import alignment_name
+
+    ready = f"data-ready line {place.ready}" if place.ready else "no data-ready line told"
+    return f"SPI{place.spi}, chip select {place.select}, {ready}, {alignment_name(place.alignment)}"
 
 
 def document(verdict: Verdict) -> dict[str, Any]:
@@ -135,6 +151,8 @@ def document(verdict: Verdict) -> dict[str, Any]:
         "maker": board.maker,
         "gyros": list(verdict.gyros),
         "gyros_told": list(board.gyro_kinds),
+        "gyro_file": verdict.file or None,
+        "turn_deg": list(board.turn_deg),
         "motors": [str(pin) for pin in (board.motors if served is None else served.motors)],
         "log": verdict.log,
         "flies": served is not None,

@@ -11,12 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 from neuroflight.cli.fly.blackbox import FlightLog, blackbox_baud
 from neuroflight.cli.fly.options import ESCS, STOPPED, OnBoard
-from neuroflight.cli.image.emulated import UARTS, Interrupt, check_gdb, open_end, parse_serials
+from neuroflight.cli.image.emulated import (
+    SETTINGS,
+    Interrupt,
+    Serials,
+    check_gdb,
+    on_board,
+    open_end,
+    parse_serials,
+)
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from neuroflight.cli.fly.options import FlyOptions
     from neuroflight.sim.board.board import Board
+    from neuroflight.sim.board.fitted import Lines
     from neuroflight.sim.ports.emulator import EmulatedPort
     from neuroflight.sim.ports.emulator_report import EmulatedReport
 
@@ -29,10 +38,7 @@ def check_emulator(args: FlyOptions) -> None:
         names = (field.name for field in fields(OnBoard))
         args.refuse(*names, because="only on the emulated board; add --on board")
         return
-    if "uart3" in parse_serials(args.serial) and "uart3_function=msp" not in args.set:
-        raise NeuroflightError(
-            "--serial uart3: got a board whose UART3 is off, expected MSP there; add --set uart3_function=msp"
-        )
+    parse_serials(args.serial)
     if args.card is None and (of_card := [text for text in args.fault if text.startswith("card-")]):
         raise NeuroflightError(f"--fault {of_card[0]}: got no card that it could happen to; add --card IMG")
     check_gdb(args.gdb)
@@ -45,12 +51,24 @@ def open_image(
 ) -> EmulatedPort:
     """Return the image on a board of its own, to be closed by `ends`. log: of UART3, if any."""
     from neuroflight.sim.board.debug.fault_injection import parse_fault
-    from neuroflight.sim.board.fitted import fitted_gyro, image_wiring
+    from neuroflight.sim.board.fitted import fitted_gyro, image_lines, image_wiring
     from neuroflight.sim.ports.emulator import EmulatedPort
     from neuroflight.toolchain.image.elf import read_flashable
 
     faults = [parse_fault(text) for text in args.fault]
-    wiring = image_wiring(image, read_flashable(image))
+    flashed = read_flashable(image)
+    wiring = image_wiring(image, flashed)
+    lines = image_lines(flashed, wiring)
+    serials = on_board(parse_serials(args.serial), lines, wiring.name)
+    if "second" in serials and "uart3_function=msp" not in args.set:
+        raise NeuroflightError(
+            f"--serial uart{lines.second}: got a board whose UART{lines.second} is off, expected MSP there; "
+            "add --set uart3_function=msp"
+        )
+    if log is not None and log.path is not None and lines.second is None:
+        raise NeuroflightError(
+            f"--blackbox: {wiring.name} has no second serial port; take --card FILE instead"
+        )
     return EmulatedPort(
         image,
         args.gyro_hz,
@@ -61,24 +79,31 @@ def open_image(
         dshot=None if args.esc is None else ESCS[args.esc],
         faults=faults,
         profile=args.profile is not None,
-        attach=lambda board: attached(args, board, image, ends, log),
+        attach=lambda board: attached(args, board, image, ends, lines, serials, log),
         on_failure=lambda board: keep_profile(args, board),
     )
 
 
 def attached(
-    args: FlyOptions, board: Board, image: Path, ends: ExitStack, log: FlightLog | None = None
+    args: FlyOptions,
+    board: Board,
+    image: Path,
+    ends: ExitStack,
+    lines: Lines,
+    serials: Serials,
+    log: FlightLog | None = None,
 ) -> Callable[[int], None]:
     """Return a function that runs `board` with the debugger and the serial lines asked for; wait for gdb."""
     from neuroflight.flash.settings.values import parse_change
     from neuroflight.sim.board.debug.gdb import GdbServer
+    from neuroflight.sim.board.peripherals.signals import uart_name
     from neuroflight.sim.board.peripherals.usart import Format
     from neuroflight.sim.board.serial.bridge import Bridge, UartLine
     from neuroflight.toolchain.contract import MSP_BAUD_DEFAULT
 
-    bauds = {"uart1": "msp_baud", "uart3": "uart3_baud"}  # the settings
+    uarts = {"msp": lines.msp, "second": lines.second}
     if log is not None and log.path is not None:
-        log.source = UartLine(board, UARTS["uart3"], Format(blackbox_baud(args))).take
+        log.source = UartLine(board, uart_name(lines.second or 0), Format(blackbox_baud(args))).take
     run_to: Callable[[int], None] = board.run_to
     server = None
     if args.gdb is not None:
@@ -90,12 +115,12 @@ def attached(
         run_to = server.run_to
     interrupt = ends.enter_context(Interrupt(server))
     bridges = []
-    for name, serial in parse_serials(args.serial).items():
-        end = open_end(serial)
-        baud = dict(parse_change(text) for text in args.set).get(bauds[name], MSP_BAUD_DEFAULT)
-        bridges.append(Bridge(UartLine(board, UARTS[name], Format(baud)), end))
+    for purpose, serial in serials.items():
+        end, name = open_end(serial), uart_name(uarts[purpose] or 0)
+        baud = dict(parse_change(text) for text in args.set).get(SETTINGS[purpose], MSP_BAUD_DEFAULT)
+        bridges.append(Bridge(UartLine(board, name, Format(baud)), end))
         ends.callback(bridges[-1].close)
-        say(f"{UARTS[name]} at {end.name}, {baud:.0f} baud")
+        say(f"{name} at {end.name}, {baud:.0f} baud")
 
     def run(cycle: int) -> None:
         while board.cycle < cycle:

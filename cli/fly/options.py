@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from neuroflight.cli.image.emulated import GYROS as CHIPS
-from neuroflight.cli.options import HOST, Json, OfRecording, On, Plot, picture
+from neuroflight.cli.options import HOST, FlownSettings, Json, OfRecording, On, Plot, picture
 from neuroflight.cli.requests import Option, Request
 from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 
@@ -67,9 +67,9 @@ class OnBoard(Request):
     serial: Annotated[
         tuple[str, ...],
         Option(
-            "[uart3=]pty|tcp[:PORT]",
-            "lead USART1, where MSP is spoken, to other programs; uart3=...: UART3, with --set "
-            "uart3_function=msp",
+            "[uartN=]pty|tcp[:PORT]",
+            "lead the UART where MSP is spoken to other programs; uartN=...: the board's second serial port, "
+            "as uart3, with --set uart3_function=msp",
             once=True,
             section=SECTION,
         ),
@@ -91,8 +91,8 @@ class FlyOptions(OnBoard, OfRecording):
         Path | None,
         Option(
             "DIR",
-            "the build to fly; default: build/HOST, with board build/MATEKF722, with betaflight "
-            "build/BETAFLIGHT",
+            "the build to fly; default: build/HOST, with board that of the board built for last, with "
+            "betaflight build/BETAFLIGHT",
         ),
     ] = None
     controller: Annotated[
@@ -132,12 +132,7 @@ class FlyOptions(OnBoard, OfRecording):
     gyro_hz: Annotated[int, Option(None, "samples of the gyro a second", choices=GYRO_RATES_HZ)] = (
         GYRO_RATE_DEFAULT_HZ
     )
-    set: Annotated[
-        tuple[str, ...],
-        Option(
-            "NAME=VALUE", "fly with this setting of the firmware, see docs/reference/settings.md", once=True
-        ),
-    ] = ()
+    set: FlownSettings = ()
     receiver: Annotated[str, Option(None, "what brings the pilot's sticks", choices=RECEIVERS)] = RECEIVERS[0]
     mount: Annotated[
         str | None, Option(None, "what holds the aircraft; default: the scenario's", choices=MOUNTS)

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from neuroflight.cli.board.built import built_last
 from neuroflight.cli.fly.blackbox import FlightLog, emulated_settings
 from neuroflight.cli.fly.emulator import keep_profile, open_image, save_profile
 from neuroflight.cli.fly.options import RECEIVERS
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
 BY_OPTION = {"gyro_rate_hz": "--gyro-hz", "receiver_protocol": "--receiver"}  # settings that have one
-BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
+BETAFLIGHT = BUILD.with_name("BETAFLIGHT")
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Entry:
 def _product(args: FlyOptions) -> Path:
     """Return the file of the build that is flown."""
     if args.on == "board":
-        return Path(args.build or BOARD) / "neuroflight.bin"
+        return Path(args.build or built_last()) / "neuroflight.bin"
     return Path(args.build or BUILD) / ("neuroflight" if args.on == "host" else "libneuroflight.so")
 
 
@@ -113,11 +114,12 @@ def _open_firmware(args: FlyOptions, aircraft: Aircraft, log: FlightLog | None) 
     from neuroflight.sim.ports.host import HostPort
     from neuroflight.sim.ports.library import ReferencePort
     from neuroflight.sim.ports.port import flight_settings, twin_settings
-    from neuroflight.toolchain.image.report import built_motors
+    from neuroflight.toolchain.image.report import built_motors, needed_settings
 
     if args.on == "betaflight":
         return _open_betaflight(args, aircraft)
-    settings = {**twin_settings(aircraft), "ground_detection": int(args.ground)}
+    product = _product(args)
+    settings = {**twin_settings(aircraft), **needed_settings(product), "ground_detection": int(args.ground)}
     settings |= dict(parse_change(text) for text in args.set)
     for name, option in BY_OPTION.items():
         if name in settings:
@@ -128,7 +130,6 @@ def _open_firmware(args: FlyOptions, aircraft: Aircraft, log: FlightLog | None) 
     check_known(flight_settings(settings))
     if args.on == "board":
         return _open_emulator(args, {**settings, **emulated_settings(args)}, log)
-    product = _product(args)
     port: HostPort | ReferencePort
     if args.on == "host":
         port = HostPort(product, args.gyro_hz, settings, None if log is None else log.aside)
@@ -170,7 +171,7 @@ def open_pid(args: FlyOptions, aircraft: Aircraft, control_rate_hz: int) -> Entr
         control_rate_hz,
         settings.idle,
         mix=settings.mix,
-        gyro_mean=settings.gyro_mean,
+        gyro_filters=settings.gyro_filters,
     )
     name = f"PID {next(iter(dict(aircraft.pids)))}"
     return Entry(name, port, settings.idle, settings.mix, kept=False)

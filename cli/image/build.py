@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from neuroflight.cli.board.built import built_last, host_is_older, note_built
 from neuroflight.cli.image.checked import Unchecked, checked
 from neuroflight.cli.report import print_json
 from neuroflight.cli.requests import Either, Option, Request
@@ -39,6 +40,14 @@ class Build(Request):
         str | None,
         Option("UARTn", "that a receiver is wired to, where it is not the board's usual one"),
     ] = None
+    gyro_file: Annotated[
+        Path | None,
+        Option(
+            "FILE.c",
+            "that a board with a BMI270 needs, from the chip's maker: bmi270_maximum_fifo.c of "
+            "github.com/boschsensortec/BMI270_SensorAPI",
+        ),
+    ] = None
     policy: Annotated[
         Path | None,
         Option(
@@ -64,7 +73,8 @@ class Build(Request):
         bool,
         Option(
             None,
-            "of the policy and aircraft that the target was built of last; the first time, of the default",
+            "of the policy, aircraft and gyro's file that the target was built of last, HOST of a board's, "
+            "if that was later; the first time, of the default",
         ),
     ] = False
     unchecked: Unchecked = False
@@ -78,17 +88,23 @@ class Build(Request):
 
         from neuroflight.cli.output import check_folder
         from neuroflight.sim.control.pid_table import beside
+        from neuroflight.toolchain.boards.gyro_file import read_gyro_file
         from neuroflight.toolchain.errors import PolicyError
-        from neuroflight.toolchain.image.build import MakeError, build, find_target
+        from neuroflight.toolchain.image.build import MakeError, build, find_target, stamped_gyro_file
         from neuroflight.toolchain.image.report import print_report, summary
         from neuroflight.toolchain.policy.model import read_policy
 
         receiver = _uart(self.receiver)
-        target = find_target(self.target, receiver)
+        gyro_file = read_gyro_file(self.gyro_file) if self.gyro_file else b""
+        if self.again and not gyro_file:
+            gyro_file = stamped_gyro_file(self.target, self.out or ROOT / "build")
+        target = find_target(self.target, receiver, gyro_file)
         check_folder(self.out or ROOT / "build", "--out")
         if self.out is None:
             check_folder(ROOT / "firmware" / "generated", "--out")
         last = _last((self.out or ROOT / "build") / target.name / target.products[0])
+        if self.again and self.out is None and target.name == "HOST" and host_is_older():
+            last = _last(built_last() / "neuroflight.elf")  # what is to be flown is what was just built
         asked = self._as_last(last) if self.again else self
         if self.again and receiver is None and last is not None:
             receiver = last.receiver
@@ -112,10 +128,13 @@ class Build(Request):
                 _facts(stands),
                 check=stamp,
                 receiver=receiver,
+                gyro_file=gyro_file,
             )
         except MakeError as error:
             print(error.output, file=sys.stderr)
             raise
+        if self.out is None and target.name != "HOST":
+            note_built(target.name, self.target)
         if self.json:
             print_json(report.document())
         elif self.brief:

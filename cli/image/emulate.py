@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from neuroflight.cli.board.built import built_last
 from neuroflight.cli.image.emulated import (
     PORT_MAX,
-    UARTS,
     Card,
     Gyro,
     Interrupt,
+    on_board,
     open_end,
     parse_serials,
     parse_usb,
@@ -38,8 +39,9 @@ if TYPE_CHECKING:
     from neuroflight.sim.board.serial.bridge import Bridge
     from neuroflight.sim.board.serial.idle_board import IdleBoard
     from neuroflight.sim.board.usb.usbip import UsbIpServer
+    from neuroflight.toolchain.boards.facts import Board
 
-BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
+ROM_UART = 1  # where the boot loader in the ROM is emulated
 BAUD_MAX = 10_000_000
 USB_PORT = 3240  # USB/IP's own
 VECTORS_BYTES = 8  # stack and reset vector
@@ -54,7 +56,9 @@ class Emulate(Request):
     """A request for an idle emulated board, its serial ports, and the files that keep its memories."""
 
     image: Annotated[Path | None, Option("FILE.bin", "what is flashed", either=WHAT)] = None
-    build: Annotated[Path | None, Option("DIR", "its build; default: build/MATEKF722", either=WHAT)] = None
+    build: Annotated[
+        Path | None, Option("DIR", "its build; default: that of the board built for last", either=WHAT)
+    ] = None
     chip: Annotated[
         Path | None,
         Option(
@@ -62,6 +66,13 @@ class Emulate(Request):
             "flash nothing: the chip holds what this file holds, and is erased where there is no such file; "
             "what is written to the chip is kept there",
             either=WHAT,
+        ),
+    ] = None
+    board: Annotated[
+        str | None,
+        Option(
+            "NAME|FILE.toml",
+            "what is wired to what; default: as on the image's board, for an erased chip as on a MATEKF722",
         ),
     ] = None
     boot0: Annotated[
@@ -73,9 +84,10 @@ class Emulate(Request):
     serial: Annotated[
         tuple[str, ...],
         Option(
-            "[uart3=]pty|tcp[:PORT]",
-            "where programs find UART1, which speaks MSP: a pseudo terminal (default), or TCP on this "
-            "computer; uart3=...: UART3 too, where the setting uart3_function is msp",
+            "[uartN=]pty|tcp[:PORT]",
+            "where programs find the UART that speaks MSP: a pseudo terminal (default), or TCP on this "
+            "computer; uartN=...: the board's second serial port too, as uart3, where the setting "
+            "uart3_function is msp",
             once=True,
         ),
     ] = ()
@@ -129,14 +141,15 @@ class Emulate(Request):
 
     def run(self) -> int:
         """Serve until the end. Returns 0; raises BoardError for errors of the image."""
-        serials = {"uart1": ("pty", 0), **parse_serials(self.serial)}
+        asked = parse_serials(self.serial)
         usb_port = None if self.usb is None else parse_usb(self.usb)
         self._check()
-        image = self.chip or self.image or (self.build or BUILD) / "neuroflight.bin"
+        image = self.chip or self.image or (self.build or built_last()) / "neuroflight.bin"
 
         from neuroflight.sim.board.debug.gdb import GdbServer
         from neuroflight.sim.board.devices.log_place import open_log_chip
-        from neuroflight.sim.board.fitted import MATEKF722, fitted_gyro, image_wiring
+        from neuroflight.sim.board.fitted import Lines, fitted_gyro, image_lines
+        from neuroflight.sim.board.peripherals.signals import uart_name
         from neuroflight.sim.board.peripherals.usart import Format
         from neuroflight.sim.board.serial.bridge import Bridge, UartLine
         from neuroflight.sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
@@ -152,11 +165,16 @@ class Emulate(Request):
             content = (kept or b"") if self.chip else with_image(flashed, kept)
             if not self.boot0:
                 _check_bootable(image, content)
+            wiring = self._wiring(image, content)
+            lines = Lines(0, ROM_UART, None) if self.boot0 else image_lines(content, wiring)
+            if lines.msp is not None and not {"msp", f"uart{lines.msp}"} & asked.keys():
+                asked = {"msp": ("pty", 0), **asked}
+            if not asked and usb_port is None:
+                raise NeuroflightError(f"{wiring.name} has no UART for MSP, only USB; add --usb")
             opened = {}
-            for name, serial in serials.items():
-                opened[name] = open_end(serial)
-                ends.callback(opened[name].close)
-            wiring = image_wiring(image, content) if flashed else MATEKF722  # of a chip as it was delivered
+            for purpose, serial in on_board(asked, lines, wiring.name).items():
+                opened[purpose] = open_end(serial)
+                ends.callback(opened[purpose].close)
             card = None if self.card is None else open_log_chip(wiring, self.card)
             if card is not None:
                 ends.callback(card.close)
@@ -177,9 +195,10 @@ class Emulate(Request):
             ends.callback(keeper.update, at_once=True)
             idle.boot()  # bytes that arrive during the boot would be lost
             bridges = []
-            for name, end in opened.items():
-                baud = self.baud if name == "uart1" else _baud(idle)
-                bridges.append(Bridge(UartLine(idle.board, UARTS[name], Format(baud)), end))
+            for purpose, end in opened.items():
+                name = uart_name((lines.msp if purpose == "msp" else lines.second) or 0)
+                baud = self.baud if purpose == "msp" else _baud(idle, name)
+                bridges.append(Bridge(UartLine(idle.board, name, Format(baud)), end))
                 ends.callback(bridges[-1].close)
             usb = None if usb_port is None else UsbIpServer([idle.board.hardware.usb_host], usb_port)
             if usb is not None:
@@ -190,13 +209,16 @@ class Emulate(Request):
                 ends.callback(debugger.close)
                 idle.run_core = debugger.run_to
             interrupt = ends.enter_context(Interrupt(debugger))
-            self._tell(image, bridges, usb, debugger, in_rom=idle.board.hardware.rom.runs)
-            watch = _SpeedWatch(bridges[0])
+            labels = ["ROM" if idle.board.hardware.rom.runs else "MSP"] if "msp" in opened else []
+            labels += [f"UART{lines.second}"] if "second" in opened else []
+            self._tell(image, dict(zip(labels, bridges, strict=True)), usb, debugger)
+            watch = _SpeedWatch(bridges[0]) if "msp" in opened else None
 
             def update() -> None:
                 interrupt.check()
                 keeper.update()
-                watch.update()
+                if watch is not None:
+                    watch.update()
                 if debugger is not None:
                     debugger.poll()
 
@@ -207,37 +229,48 @@ class Emulate(Request):
             self._end(idle)
         return 0
 
+    def _wiring(self, image: Path, content: bytes) -> Board:
+        """Return the board that the chip sits on: as asked for, as its image says, or the usual one."""
+        from neuroflight.sim.board.fitted import MATEKF722, image_wiring
+        from neuroflight.toolchain.boards.board_file import named_board
+        from neuroflight.toolchain.contract import FLASH_BANKS, FLASH_BASE, image_header
+
+        if self.board is not None:
+            return named_board(self.board)
+        blank = all(image_header(content[bank.address - FLASH_BASE :]) is None for bank in FLASH_BANKS)
+        return MATEKF722 if blank else image_wiring(image, content)
+
     def _check(self) -> None:
         if self.chip and self.flash:
             raise NeuroflightError(
                 "--flash: got it beside --chip, which keeps the whole flash; leave one out"
             )
-        if self.boot0 and any(text.startswith("uart3") for text in self.serial):
-            raise NeuroflightError("--serial uart3: got it with --boot0, whose ROM is emulated on UART1 only")
+        if self.boot0 and any(name not in ("msp", "uart1") for name in parse_serials(self.serial)):
+            raise NeuroflightError(
+                "--serial: got another UART with --boot0, whose ROM is emulated on UART1 only"
+            )
         if self.seconds is not None and not (math.isfinite(self.seconds) and self.seconds > 0.0):
             raise NeuroflightError(f"--seconds {self.seconds:g}, expected a number above 0")
 
     def _tell(
         self,
         image: Path,
-        bridges: Sequence[Bridge],
+        bridges: Mapping[str, Bridge],
         usb: UsbIpServer | None,
         debugger: GdbServer | None,
-        *,
-        in_rom: bool,
     ) -> None:
-        """Print where programs find the board."""
+        """Print where programs find the board. bridges: by label."""
         if self.json:
             ports = {
-                name: {"port": bridge.end.name, "baud": bridge.line.format.baud}
-                for name, bridge in zip(("rom" if in_rom else "msp", "uart3"), bridges, strict=False)
+                label.lower(): {"port": bridge.end.name, "baud": bridge.line.format.baud}
+                for label, bridge in bridges.items()
             }
             gdb = None if debugger is None else debugger.port
             where = {"ports": ports, "usb": None if usb is None else usb.port, "gdb": gdb}
             print(json.dumps({"image": str(image), **where}), flush=True)
             return
         print(f"board  {image}")
-        for label, bridge in zip(("ROM" if in_rom else "MSP", "UART3"), bridges, strict=False):
+        for label, bridge in bridges.items():
             name = bridge.end.name
             then = "rescue IMAGE" if label == "ROM" else "info"
             print(
@@ -247,7 +280,7 @@ class Emulate(Request):
             print(f"USB    {usb.name}, USB/IP; usbip --tcp-port {usb.port} attach -r 127.0.0.1 -b 1-1")
         if debugger is not None:
             elf = image.with_suffix(".elf")
-            elf = elf if elf.is_file() else BUILD / "neuroflight.elf"
+            elf = elf if elf.is_file() else built_last() / "neuroflight.elf"
             remote = f"-ex 'target remote :{debugger.port}'"
             print(f"gdb    127.0.0.1:{debugger.port}; gdb-multiarch -d firmware {remote} {elf}")
         print("Ctrl-C ends it", flush=True)
@@ -342,15 +375,16 @@ def _keep(option: str, path: Path | None, content: bytes) -> None:
         ) from None
 
 
-def _baud(idle: IdleBoard) -> float:
-    """Return the speed of UART3. Raises NeuroflightError where the image has not started it."""
+def _baud(idle: IdleBoard, uart_name: str) -> float:
+    """Return the speed of the second port. Raises NeuroflightError where the image has not started it."""
     from neuroflight.sim.board.serial.idle_board import STEP
 
-    idle.run_to(idle.board.cycle + STEP)  # the firmware starts UART3 right after UART1, which is running
-    uart = idle.board.hardware.usarts[UARTS["uart3"]]
+    idle.run_to(idle.board.cycle + STEP)  # the firmware starts it right after the first, which is running
+    uart = idle.board.hardware.usarts[uart_name]
     if not uart.words["CR1"] & 1:
+        name = f"UART{uart_name[-1]}"
         raise NeuroflightError(
-            "--serial uart3: got a board whose UART3 is off, expected one that is set to MSP; set "
+            f"--serial {name.lower()}: got a board whose {name} is off, expected one that is set to MSP; set "
             "uart3_function=msp in a run with --flash FILE, save, and start again with that file"
         )
     return min(MSP_BAUDS, key=lambda baud: abs(baud - uart.format.baud))

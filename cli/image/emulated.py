@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from neuroflight.cli.requests import Option
-from neuroflight.toolchain.contract import GYROS_NOT_FLOWN, GyroChip
+from neuroflight.toolchain.contract import GyroChip
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from neuroflight.sim.board.debug.gdb import GdbServer
+    from neuroflight.sim.board.fitted import Lines
     from neuroflight.sim.board.serial.bridge import End
 
 PORT_MAX = 65535
-GYROS = tuple(chip.name.lower() for chip in GyroChip if chip not in GYROS_NOT_FLOWN)
-UARTS = {"uart1": "USART1", "uart3": "USART3"}  # that speak MSP, as users and the chip call them
+GYROS = tuple(chip.name.lower() for chip in GyroChip)
+SETTINGS = {"msp": "msp_baud", "second": "uart3_baud"}  # speed of each serial port
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 Gyro = Annotated[
     str | None, Option(None, "the chip that is fitted; default: one that the board carries", choices=GYROS)
@@ -33,20 +34,40 @@ Card = Annotated[
 ]
 
 
-def parse_serials(texts: Sequence[str]) -> dict[str, tuple[str, int]]:
-    """Return UART -> kind of end and TCP port, of each `--serial [uart3=]pty|tcp[:PORT]`."""
-    serials: dict[str, tuple[str, int]] = {}
+Serials = dict[str, tuple[str, int]]  # by the port's name: kind of end and TCP port
+
+
+def parse_serials(texts: Sequence[str]) -> Serials:
+    """Return each `--serial [uartN=]pty|tcp[:PORT]` by the UART's name, "msp" where it has none."""
+    serials: Serials = {}
     for text in texts:
-        found = re.fullmatch(r"(?:(uart[13])=)?(?:(pty)|tcp(?::(\d{1,5}))?)", text)
+        found = re.fullmatch(r"(?:(uart[1-6])=)?(?:(pty)|tcp(?::(\d{1,5}))?)", text)
         if found is None or int(found[3] or 0) > PORT_MAX:
             raise NeuroflightError(
-                f"--serial: got {text!r}, expected pty, tcp or tcp:PORT, for UART3 behind uart3="
+                f"--serial: got {text!r}, expected pty, tcp or tcp:PORT, for another UART behind uart3="
             )
-        name = found[1] or "uart1"
+        name = found[1] or "msp"
         if name in serials:
             raise NeuroflightError(f"--serial: got {name} twice, expected each UART once; leave one out")
         serials[name] = ("pty", 0) if found[2] else ("tcp", int(found[3] or 0))
     return serials
+
+
+def on_board(serials: Serials, lines: Lines, board: str) -> Serials:
+    """Return the same by purpose, "msp" and "second". Raises NeuroflightError where a UART has none there."""
+    uarts = {f"uart{lines.msp}": "msp", f"uart{lines.second}": "second"}
+    found: Serials = {}
+    for name, serial in serials.items():
+        purpose = name if name == "msp" and lines.msp is not None else uarts.get(name)
+        if purpose is None:
+            able = " and ".join(f"{uart} ({what})" for uart, what in uarts.items() if uart != "uartNone")
+            raise NeuroflightError(
+                f"--serial: got {name}, expected a serial port of {board}: {able or 'it has none, only USB'}"
+            )
+        if purpose in found:
+            raise NeuroflightError(f"--serial: {name} is given twice on {board}; leave one out")
+        found[purpose] = serial
+    return {purpose: found[purpose] for purpose in SETTINGS if purpose in found}
 
 
 def parse_usb(text: str) -> int:

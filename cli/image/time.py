@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from neuroflight.cli.options import FlownSettings
 from neuroflight.cli.progress import progress_bars
 from neuroflight.cli.requests import Argument, Option, Request
 
@@ -42,6 +43,7 @@ class Time(Request):
     aircraft: Annotated[str, Option("NAME|FILE", "whose twin it flies; default: nf1")] = "nf1"
     count: Annotated[int, Option("N", "commands that it flies; default: 3", low=1, high=COUNT_MAX)] = 3
     seed: Annotated[int, Option("S", "of commands and noise; default: 1")] = 1
+    set: FlownSettings = ()
     disarmed: Annotated[
         int,
         Option(
@@ -81,14 +83,15 @@ class Time(Request):
         if image.suffix == ".onnx":
             raise NeuroflightError(f"{image}: is a policy; run: neuroflight policy time {image}")
         check_output(self.plot, ".png")
-        inside = built(image)
         aircraft = load_aircraft(self.aircraft)
+        settings = _settings(self, aircraft)
+        inside = built(image)
         scenario = load_scenario(SCENARIO, self.seed, self.count)
         code = disassemble(image.with_suffix(".elf"), lines=True)
         flights = [scenario]
         if inside.pid_motors is not None:
             flights.append(scenario.under_pid())
-        metered = _fly_all(self, aircraft, [*flights, *([None] if self.disarmed else [])], code)
+        metered = _fly_all(self, aircraft, settings, [*flights, *([None] if self.disarmed else [])], code)
         runs: dict[Kind, tuple[Run, ...]] = {}
         for flight in metered:
             for kind, found in flight.runs.items():
@@ -97,7 +100,7 @@ class Time(Request):
         costs = tuple(sorted(costs, key=_place))
         document = _document(self, inside, aircraft, metered, costs, priced)
         if self.serial:
-            told = told_times(image, self.serial, self.seed, aircraft, flights)
+            told = told_times(image, self.serial, self.seed, aircraft, settings, flights)
             document["firmware_timing"] = [told_row(one) for one in told]
             document["notes"].append(NOTE)
         if self.plot:
@@ -116,9 +119,22 @@ class Time(Request):
         return 0
 
 
+def _settings(args: Time, aircraft: Aircraft) -> dict[str, float]:
+    """Return the settings that the image flies with. Raises LinkError for one that it would refuse."""
+    from neuroflight.flash.settings.values import check_known, parse_change
+    from neuroflight.sim.ports.port import flight_settings, twin_settings
+    from neuroflight.toolchain.image.report import needed_settings
+
+    settings = {**twin_settings(aircraft), **needed_settings(args.image)}
+    settings |= dict(parse_change(text) for text in args.set)
+    check_known(flight_settings(settings))
+    return settings
+
+
 def _fly_all(
     args: Time,
     aircraft: Aircraft,
+    settings: Mapping[str, float],
     scenarios: list[Scenario | None],
     code: Mapping[int, Instruction],
 ) -> list[Metered]:
@@ -127,13 +143,14 @@ def _fly_all(
     with progress_bars(args.json) as add:
         for scenario in scenarios:
             flown = "disarmed" if scenario is None else "PID" if scenario.segments[0].pid else "policy"
-            metered.append(_fly(args, aircraft, scenario, code, add(flown)))
+            metered.append(_fly(args, aircraft, settings, scenario, code, add(flown)))
     return metered
 
 
 def _fly(
     args: Time,
     aircraft: Aircraft,
+    settings: Mapping[str, float],
     scenario: Scenario | None,
     code: Mapping[int, Instruction],
     progress: Callable[[float], None],
@@ -146,7 +163,6 @@ def _fly(
     from neuroflight.sim.physics.twin import Twin
     from neuroflight.sim.physics.world import Mount
     from neuroflight.sim.ports.emulator import EmulatedPort
-    from neuroflight.sim.ports.port import twin_settings
 
     rng = np.random.default_rng((args.seed, 1))
     meters: list[ControlMeter] = []
@@ -155,7 +171,6 @@ def _fly(
         meters.append(ControlMeter(board, args.image.with_suffix(".elf"), code))
         return meters[0].run_to
 
-    settings = twin_settings(aircraft)
     with closing(EmulatedPort(args.image, settings=settings, attach=attach)) as port:
         mount = Mount.CENTRE if scenario is None else scenario.mount
         twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=mount, rng=rng)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.sim.board.board import Board
@@ -24,19 +24,28 @@ NOTE = (
 
 
 def told_times(
-    image: Path, steps: int, seed: int, aircraft: Aircraft, flights: Sequence[Scenario]
+    image: Path,
+    steps: int,
+    seed: int,
+    aircraft: Aircraft,
+    settings: Mapping[str, float],
+    flights: Sequence[Scenario],
 ) -> list[ToldTimes]:
     """Return times of an idle board, and of each flight on a board that streams its control steps."""
+    from neuroflight.sim.board.serial.idle_board import configured
     from neuroflight.sim.board.serial.told_times import told_of_samples, told_while_idle
     from neuroflight.toolchain.image.elf import read_flashable
 
-    told = [told_while_idle(read_flashable(image), steps)]
+    idle = configured(read_flashable(image), image.with_suffix(".elf"), settings)
+    told = [told_while_idle(idle, steps)]
     for scenario in flights:
-        told += told_of_samples(_stream(image, seed, aircraft, scenario)).values()
+        told += told_of_samples(_stream(image, seed, aircraft, settings, scenario)).values()
     return told
 
 
-def _stream(image: Path, seed: int, aircraft: Aircraft, scenario: Scenario) -> list[Any]:
+def _stream(
+    image: Path, seed: int, aircraft: Aircraft, settings: Mapping[str, float], scenario: Scenario
+) -> list[Any]:
     """Return the samples of one flight."""
     import numpy as np
 
@@ -44,7 +53,6 @@ def _stream(image: Path, seed: int, aircraft: Aircraft, scenario: Scenario) -> l
     from neuroflight.sim.flight.loop import fly
     from neuroflight.sim.physics.twin import Twin
     from neuroflight.sim.ports.emulator import EmulatedPort
-    from neuroflight.sim.ports.port import twin_settings
 
     listeners: list[StreamListener] = []
 
@@ -52,8 +60,7 @@ def _stream(image: Path, seed: int, aircraft: Aircraft, scenario: Scenario) -> l
         listeners.append(StreamListener(board, BAUD))
         return board.run_to
 
-    settings = {**twin_settings(aircraft), "msp_baud": BAUD}
-    with closing(EmulatedPort(image, settings=settings, attach=attach)) as port:
+    with closing(EmulatedPort(image, settings={**settings, "msp_baud": BAUD}, attach=attach)) as port:
         rng = np.random.default_rng((seed, 1))
         twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
         with closing(twin):

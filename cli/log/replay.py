@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from neuroflight.cli.board.built import built_last
 from neuroflight.cli.log.reading import OfLog, tell_damage
 from neuroflight.cli.options import Machine
 from neuroflight.cli.progress import progress_bars
@@ -40,7 +41,7 @@ class Replay(OfLog):
     ] = LIBRARY
     build: Annotated[
         Path | None,
-        Option("DIR", "the build to replay with; default: build/HOST, with board build/MATEKF722"),
+        Option("DIR", "the build to replay with; default: build/HOST, with board the last board's"),
     ] = None
     policy: Annotated[
         Path | None,
@@ -100,7 +101,7 @@ def _replay(args: Replay, flight: Flight, show: Show) -> Answers:
     """Replay the log's inputs on the machine that is asked for."""
     from neuroflight.sim.replay.program import check_policy
 
-    folder = args.build or ROOT / "build" / ("MATEKF722" if args.on == "board" else "HOST")
+    folder = args.build or (built_last() if args.on == "board" else ROOT / "build" / "HOST")
     if args.on == "board":
         from neuroflight.sim.replay.emulator import replay_on_board
 

@@ -198,7 +198,7 @@ def _flights(
         throttle=throttle,
         idle=settings.idle,
         mix=settings.mix,
-        gyro_mean=settings.gyro_mean,
+        gyro_filters=settings.gyro_filters,
         progress=progress,
     )
 

@@ -76,7 +76,7 @@ def _fly_unseen(
                 throttle=throttle,
                 idle=controller.idle,
                 mix=controller.mix,
-                gyro_mean=controller.gyro_mean,
+                gyro_filters=controller.gyro_filters,
                 progress=bar(f"{name}: {args.unseen} unseen commands at each thrust"),
             )
             checked[name] = by_thrust(flown)

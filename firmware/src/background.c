@@ -8,6 +8,9 @@
 #define STORAGE_RATE_HZ 10
 #define WEIGHTS_AT_ONCE ((size_t)POLICY_WEIGHT_COUNT / 8 + 1) /* all of them in less than a second */
 #define FAULT_LOG_RENEW_MS 5000u
+#define ESCS_FIRST 5u /* runs of the storage task before ESCs that answer are asked for more, */
+#define ESCS_AGAIN 20u /* and until they are asked again */
+#define ESCS_TIMES 5u
 #define TOOK_OVER_MS 3000u /* so long beeper and LED tell nothing but that the PID took over */
 
 /* The settings that the contract marks at_once: rates and dead bands, and the PID's factors. Each group is
@@ -252,6 +255,33 @@ static void background_try_image(struct background *background)
 	background_judge_image(background);
 }
 
+/* ESCs tell temperature, voltage and current from when they are asked to, which they obey while their motors stand; some not as
+ * soon as they answer. Nobody can arm while they are asked, so an arm switch that is on comes first, and so does the gyro's
+ * calibration, which beeps of motors would disturb. */
+static void background_ask_escs(struct background *background)
+{
+	struct firmware *fw = background->config.firmware;
+	const struct rotors *rotors = &fw->rotors;
+	struct firmware_status status;
+	bool more = false;
+
+	for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i)
+		more |= !(rotors->silent >> i & 1u) && rotors->known[i] == 0;
+	if (!more)
+		background->escs_asked = 0;
+	firmware_status(fw, &status);
+	if (!more || status.state != NF_FLIGHT_DISARMED || (status.modes & MODE_BIT(ARM))) {
+		background->escs_wait = ESCS_FIRST;
+		return;
+	}
+	if (background->escs_asked == ESCS_TIMES || background->escs_wait-- > 0)
+		return;
+	background->escs_wait = ESCS_AGAIN;
+	++background->escs_asked;
+	(void)dshot_command_ask(&fw->dshot_command, NF_DSHOT_COMMAND_EXTENDED_TELEMETRY, NF_DSHOT_ALL_MOTORS,
+				!motor_test_open(&fw->motor_test)); /* refused: the next time */
+}
+
 /* Runs the work that may write flash. An acknowledged fault no longer forbids arming. */
 static void background_run_storage(void *context)
 {
@@ -263,6 +293,7 @@ static void background_run_storage(void *context)
 	background_check_weights(background);
 	background_watch_load(background);
 	background_try_image(background);
+	background_ask_escs(background);
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 }
 

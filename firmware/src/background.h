@@ -42,6 +42,8 @@ struct background {
 	uint32_t controller_cycles; /* what a control step takes longer while armed, at most; 0: not measured */
 	size_t weights_checked; /* those before this one, since the check last began at the first */
 	unsigned sessions; /* of command lines that are open */
+	uint8_t escs_asked; /* times that ESCs which tell their speed alone were asked for more */
+	uint8_t escs_wait; /* runs of the storage task until the next time */
 	struct background_config config;
 	struct scheduler scheduler;
 	struct battery battery;

@@ -103,6 +103,8 @@ static enum nf_refusal background_command_motors(void *context, unsigned motor, 
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
 
+	if ((command & 0xFFu) == NF_DSHOT_COMMAND_EXTENDED_TELEMETRY)
+		return NF_REFUSAL_PAYLOAD; /* ours to send, to ESCs that answer */
 	return dshot_command_ask(&fw->dshot_command, command, motor,
 				 !fw->status.trace.armed && !motor_test_open(&fw->motor_test));
 }

@@ -92,6 +92,7 @@ static enum nf_err background_start_firmware(struct background *background)
 	const struct firmware_config firmware = {
 		.gyro_rate_hz = background->settings.gyro_rate_hz,
 		.alignment = background_alignment(background),
+		.turn_deg = config->board.turn_deg,
 		.gyro_chip = config->board.gyro_chip,
 		.settings = &background->settings,
 		.weights = config->weights,

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "common/fence.h"
+#include "common/words.h"
 #include "motors/dshot.h"
 #include "safety/chirp_interlock.h"
 
@@ -363,7 +364,7 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 	if (!fw->begun)
 		firmware_take_edges(fw);
 	fw->begun = false;
-	memcpy(trace->gyro, rate, sizeof trace->gyro);
+	words_copy(trace->gyro, rate, sizeof trace->gyro);
 	gyro_acceleration(&fw->gyro, acceleration);
 	attitude_step(&fw->attitude, rate, acceleration);
 	for (int i = 0; i < 3; ++i)

@@ -33,6 +33,7 @@
 struct firmware_config {
 	unsigned gyro_rate_hz;              /* one of NF_GYRO_RATES_HZ, a multiple of POLICY_CONTROL_RATE_HZ */
 	enum board_alignment alignment;
+	const int16_t *turn_deg;            /* [3] of the board by its maker: roll, pitch, yaw; NULL: none */
 	enum gyro_chip gyro_chip;           /* whose temperature is told */
 	const struct nf_settings *settings; /* must outlive the firmware, as all that follows */
 	const float *weights;               /* [POLICY_WEIGHT_COUNT], 8-byte aligned, where they are read in flight */

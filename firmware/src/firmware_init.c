@@ -59,6 +59,8 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	fw->status.trace.motor_count = POLICY_ACTION_COUNT;
 	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment, settings->gyro_stuck_ms)) != NF_OK)
 		return err;
+	if (config->turn_deg != NULL)
+		gyro_board_init(&fw->gyro, config->turn_deg[0], config->turn_deg[1], config->turn_deg[2]);
 	gyro_board_init(&fw->gyro, settings->board_roll_deg, settings->board_pitch_deg, settings->board_yaw_deg);
 	if ((err = control_init(&fw->control, &control)) != NF_OK)
 		return err;

@@ -94,14 +94,6 @@ def _cell_volts(name: str) -> Convert:
     return convert
 
 
-def _degrees(axis: str) -> Convert:
-    def convert(text: str) -> Changes:
-        turned = number(text)
-        return {f"board_{axis}_deg": float((turned + 180) % 360 - 180 if abs(turned) > 180 else turned)}
-
-    return convert
-
-
 _ALIGNMENTS = {"DEFAULT": 0.0} | {a.name.replace("_", ""): 1.0 + a for a in Alignment}
 _PROCEDURES = {"DROP": 0.0, "AUTO-LAND": 1.0, "1": 0.0, "0": 1.0}
 _PROTOCOLS = {"DSHOT150": 2.0, "DSHOT300": 0.0, "DSHOT600": 1.0}
@@ -148,9 +140,6 @@ SETTINGS: dict[str, Counterpart] = {
     "ibata_scale": _CURRENT,
     "ibat_scale": _CURRENT,  # 3.1
     "current_meter_scale": _CURRENT,  # 3.0
-    "align_board_roll": Counterpart("board's turn", _degrees("roll")),
-    "align_board_pitch": Counterpart("board's turn", _degrees("pitch")),
-    "align_board_yaw": Counterpart("board's turn", _degrees("yaw")),
     "gyro_1_sensor_align": _GYRO,
     "gyro_to_use": _GYRO_SELECT,  # to 4.5
     "align_gyro": _GYRO,  # to 3.5

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from neuroflight.flash.betaflight.board_turn import BOARD_AXES, BOARD_TURN, NOT_TURNED, Turn, pilots_turn
 from neuroflight.flash.betaflight.counterparts import (
     BEEPERS,
     COMMANDS,
@@ -51,13 +52,15 @@ def plan_import(
     present: Mapping[str, Value],
     rate_profile: int | None = None,
     outputs: Sequence[str] = (),
+    turn: Turn | None = NOT_TURNED,
 ) -> ImportPlan:
     """Plan which settings `diff` changes in a firmware for `board` whose settings are `present`.
 
     rate_profile: instead of the active one. outputs: pins of the motor outputs of the file's board, as C06;
-    () if it is not known. Raises LinkError if the file has none of that number.
+    () if it is not known. turn: what the maker of the file's board turns it by, (roll, pitch, yaw) [deg];
+    None: that is not known. Raises LinkError if the file has none of that number.
     """
-    return _Planner(diff, board, present, rate_profile, outputs).plan()
+    return _Planner(diff, board, present, rate_profile, outputs, turn).plan()
 
 
 class _Planner:
@@ -70,10 +73,12 @@ class _Planner:
         present: Mapping[str, Value],
         rate_profile: int | None,
         outputs: Sequence[str],
+        turn: Turn | None,
     ) -> None:
         self._diff = diff
         self._present = present
-        self._outputs = outputs
+        self._outputs, self._turn = outputs, turn
+        self._turned: dict[str, tuple[float, Line]] = {}  # of the whole board, by axis
         self._same_board = bool(outputs) and board in (diff.board, HOST)
         self._groups: dict[str, Group] = {}
         self._left: list[Left] = []
@@ -100,6 +105,7 @@ class _Planner:
         self._join_motors()
         self._join_limits()
         self._join_voltage()
+        self._join_turn()
         self._join_rates()
         self._note_kept_ranges()
         groups = [group for group in self._groups.values() if group.changes]
@@ -135,6 +141,8 @@ class _Planner:
             return
         if name in VOLTAGE:
             self._voltage[name] = number(value), line
+        elif name in BOARD_TURN:
+            self._turned[BOARD_TURN[name]] = number(value), line
         elif name == "motor_output_limit":
             self._limits.append((self._rates.profile.current, number(value), line))
         elif name == "motor_output_reordering":
@@ -324,6 +332,19 @@ class _Planner:
             else:
                 self._bring("motor limit", {"motor_limit": percent / 100}, line)
 
+    def _join_turn(self) -> None:
+        """Bring what the pilot has turned the board by; an axis that is left out is as the maker's."""
+        lines = [line for _, line in self._turned.values()]
+        if self._turn is None:
+            own = "whether the board's description has this turn already is not known here"
+            self._leave_all(lines, f"{own}: set board_yaw_deg and its kin to what the arrow is off")
+        elif lines:
+            makers = dict(zip(BOARD_AXES, self._turn, strict=True))
+            whole = [self._turned[axis][0] if axis in self._turned else makers[axis] for axis in BOARD_AXES]
+            turn = dict(zip(BOARD_AXES, pilots_turn(whole, self._turn), strict=True))
+            told = BOARD_AXES if any(self._turn) else tuple(self._turned)
+            self._bring("board's turn", {f"board_{axis}_deg": turn[axis] for axis in told}, *lines)
+
     def _join_voltage(self) -> None:
         lines = [line for _, line in self._voltage.values()]
         if not lines:
@@ -369,7 +390,7 @@ def _key(line: Line) -> tuple[str, ...]:
     words = line.words
     if line.assigned is not None:
         name = line.assigned[0]
-        return ("set", name) if name in SETTINGS or name in VOLTAGE else ()
+        return ("set", name) if name in {*SETTINGS, *VOLTAGE, *BOARD_TURN} else ()
     if words[0] in ("name", "display_name", "map", "mixer"):
         return (words[0],)
     if words[0] == "aux" and len(words) > 1:

@@ -8,8 +8,8 @@ from neuroflight.flash.board.hints import HINTS, betaflight_reasons
 from neuroflight.flash.board.info import is_ours
 from neuroflight.flash.link import messages, records
 from neuroflight.flash.link.client import Client
-from neuroflight.flash.link.messages import Analog, Attitude, BatteryState
-from neuroflight.toolchain.contract import GYRO_IDENTITIES, GYROS_NOT_FLOWN, GyroChip, Msp
+from neuroflight.flash.link.messages import Analog, Attitude, BatteryState, EscReport
+from neuroflight.toolchain.contract import GYRO_FILES, GYRO_IDENTITIES, GyroChip, Msp
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,9 @@ class Overview:
     receiver_percent: int
     control_period_us: int
     load_percent: int
+    escs: tuple[
+        EscReport, ...
+    ] = ()  # what they tell over the motor wire, by motor; (): nothing, or not asked
 
 
 def read_overview(client: Client) -> Overview:
@@ -57,9 +60,11 @@ def read_overview(client: Client) -> Overview:
         safety = records.safety(client.request(Msp.SAFETY))
         reasons = messages.arming_reasons(safety.arming_flags)
         flight, percent, hints = _flight(client, safety), safety.receiver_percent, _hints(safety)
+        escs = messages.motor_telemetry(client.request(Msp.MOTOR_TELEMETRY))
     else:
         reasons = betaflight_reasons(extended.arming_flags, extended.arming_flag_count)
         flight, percent, hints = None, _percent(messages.analog(client.request(Msp.ANALOG))), {}
+        escs = ()
     return Overview(
         armed=extended.status.armed,
         arming_reasons={reason: hints.get(reason, "") for reason in reasons},
@@ -69,20 +74,21 @@ def read_overview(client: Client) -> Overview:
         receiver_percent=percent,
         control_period_us=extended.status.cycle_time_us,
         load_percent=extended.status.load_percent,
+        escs=escs if any(esc != EscReport(0, 0.0, 0, 0.0, 0.0) for esc in escs) else (),
     )
 
 
 def _hints(safety: records.Safety) -> dict[str, str]:
     """Return how to lift each reason; an unknown gyro chip is not mended by a restart."""
-    if safety.gyro in GYROS_NOT_FLOWN:
-        why = GYROS_NOT_FLOWN[safety.gyro]
+    if safety.gyro in GYRO_FILES:
         return HINTS | {
-            "GYRO_BAD": f"the gyro is a {safety.gyro_chip}, which this firmware cannot fly: {why}"
+            "GYRO_BAD": f"the gyro is a {safety.gyro_chip}, which measures only with its maker's "
+            f"configuration: was the image built with --gyro-file, {GYRO_FILES[safety.gyro]}? Else "
+            f"{HINTS['GYRO_BAD']}"
         }
     if safety.gyro_identity in (None, records.NO_CHIP) or safety.gyro is not None:
         return HINTS
-    flown = (chip for chip in GyroChip if chip not in GYROS_NOT_FLOWN)
-    known = ", ".join(f"{chip.name} (0x{GYRO_IDENTITIES[chip]:02X})" for chip in flown)
+    known = ", ".join(f"{chip.name} (0x{GYRO_IDENTITIES[chip]:02X})" for chip in GyroChip)
     return HINTS | {"GYRO_BAD": f"the gyro is an {safety.gyro_chip}, this firmware knows {known}"}
 
 

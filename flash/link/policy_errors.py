@@ -12,7 +12,9 @@ POLICY_ERRORS: dict[int, str] = {
     FirmwareError.ERR_BLOB_SIZE: "its sizes contradict each other: not written by this tool",
     FirmwareError.ERR_BLOB_CRC: "damaged: its checksum does not hold",
     FirmwareError.ERR_BLOB_RATE: "trained for another control rate than this image's",
-    FirmwareError.ERR_BLOB_FILTERS: "trained behind other gyro filters than those that are set",
+    FirmwareError.ERR_BLOB_FILTERS: (
+        "trained behind other gyro filters than those that are set; `image build` tells what it needs"
+    ),
     FirmwareError.ERR_BLOB_ARCHITECTURE: "of another architecture than this image's policy",
     FirmwareError.ERR_BLOB_IDLE: "its idle is beyond what a policy is trained with",
     FirmwareError.ERR_BLOB_MIX: "its mix of outputs and throttle is one that this firmware does not know",

@@ -21,9 +21,10 @@ from neuroflight.sim.aircraft.digest import EARLIER, file_sha256, flown_sha256
 from neuroflight.sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
 from neuroflight.sim.aircraft.props_out import SUFFIX, props_out
 from neuroflight.sim.arrays import Array
-from neuroflight.toolchain.contract import AXES, GRAVITY, POLICY_FILTER_MEAN, Mix
+from neuroflight.toolchain.contract import AXES, GRAVITY, Mix
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.files import read_limited
+from neuroflight.toolchain.policy.gyro_filters import NONE, UNFILTERED, GyroFilters
 from neuroflight.toolchain.strict_toml import StrictTable, parse_toml
 
 FOLDER = Path(__file__).parent
@@ -113,6 +114,7 @@ class Gyro:
     bandwidth_hz: float | None = None  # of the chip's own first-order low-pass; None: none
     misalignment: Vector = (0.0, 0.0, 0.0)  # [rad], small turns of the chip about the body axes
     vibration: Vector = (0.0, 0.0, 0.0)  # [rad/s], amplitude that one rotor causes at its full speed
+    harmonics: tuple[float, ...] = ()  # of that, at 2 and 3 times the turns, for 1 at the turns themselves
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,7 @@ class PidSettings:
     tpa_breakpoint: float = 0.0  # throttle where that begins, 0..1
     nominal_voltage: float | None = None  # [V] that the gains were found with; None: not compensated
     mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs with the pilot's thrust
-    gyro_mean: bool = False  # whether it sees the mean of the gyro's samples of a control period
+    gyro_filters: GyroFilters = UNFILTERED  # of the gyro before it
 
 
 @dataclass(frozen=True)
@@ -431,6 +433,9 @@ def _gyro(table: StrictTable) -> Gyro:
         bandwidth_hz=table.optional_number("bandwidth_hz", 1, 1e5),
         misalignment=_radians(table.vector("misalignment_deg", -10, 10, ZERO)),
         vibration=_radians(table.vector("vibration_deg_s", 0, 1000, ZERO)),
+        harmonics=(
+            table.numbers("vibration_harmonics", 1, 2, 0, 10) if table.has("vibration_harmonics") else ()
+        ),
     )
 
 
@@ -485,8 +490,15 @@ def _pid(table: StrictTable, motors: int) -> PidSettings:
         tpa_breakpoint=table.number("tpa_breakpoint", 0, 0.99, 0.0),
         nominal_voltage=table.optional_number("nominal_voltage_v", 1, 1000),
         mix=table.choice("mix", {mix.text: mix for mix in Mix}, Mix.ATTITUDE_FIRST.text),
-        gyro_mean=table.choice("gyro_filter", {"none": False, POLICY_FILTER_MEAN: True}, "none"),
+        gyro_filters=_gyro_filters(table),
     )
+
+
+def _gyro_filters(table: StrictTable) -> GyroFilters:
+    try:
+        return GyroFilters.parse(table.text("gyro_filter", NONE))
+    except ValueError as error:
+        raise table.error("gyro_filter", str(error)) from None
 
 
 def _mixer(table: StrictTable, motors: int) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from neuroflight.sim.aircraft.edit import newline_of, statements, write_edited
 from neuroflight.sim.aircraft.model import PidSettings, load_aircraft
-from neuroflight.toolchain.contract import AXES, POLICY_FILTER_MEAN, Mix
+from neuroflight.toolchain.contract import AXES, Mix
 from neuroflight.toolchain.errors import AircraftError
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
@@ -78,8 +78,8 @@ def _document(settings: PidSettings) -> dict[str, Any]:
         document["nominal_voltage_v"] = settings.nominal_voltage
     if settings.mix is not Mix.ATTITUDE_FIRST:
         document["mix"] = settings.mix.text
-    if settings.gyro_mean:
-        document["gyro_filter"] = POLICY_FILTER_MEAN
+    if settings.gyro_filters.every_sample:
+        document["gyro_filter"] = settings.gyro_filters.text
     return document | {axis: list(gains) for axis, gains in zip(AXES, settings.gains, strict=True)}
 
 

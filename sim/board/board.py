@@ -31,7 +31,7 @@ from neuroflight.sim.board.peripherals.iwdg import Iwdg
 from neuroflight.sim.board.peripherals.option_bytes import OptionBytes, signature
 from neuroflight.sim.board.peripherals.pwr import Pwr
 from neuroflight.sim.board.peripherals.rcc import MICROSECOND, Clocks, Rcc
-from neuroflight.sim.board.peripherals.signals import FUNCTIONS, board_signals, uart_name
+from neuroflight.sim.board.peripherals.signals import board_signals, uart_name
 from neuroflight.sim.board.peripherals.spi import SPIS, GyroSpi, Spi
 from neuroflight.sim.board.peripherals.timer import TIMERS, Timer
 from neuroflight.sim.board.peripherals.usart import Usart
@@ -95,7 +95,7 @@ class Hardware:
         }
         self.log_place = LogPlace(native, self.pins, board, card)
         self._leave_empty(gyro_place)
-        self.timers = {name: Timer(native, name, self.dma, self.pins) for name in TIMERS}
+        self.timers = {name: Timer(native, name, self.dma) for name in TIMERS}
         self.usarts = {
             name: Usart(engine, name, self.dma, self.pins, self.rcc.kernel_clock) for name in USARTS
         }
@@ -109,7 +109,6 @@ class Hardware:
         self.usb.devices.append(self.rom.dfu)
         self.escs = tuple(Esc(native, motor, pin, engine.fail) for motor, pin in enumerate(board.motors))
         native.on_train = lambda motor, edges, rest: self.escs[motor].take(edges, rest)
-        self._wire_timers()
         self.gyro_line = line = None if where.ready is None else where.ready.number  # of EXTI
         self.inspection = Inspection(engine, self.dma, self.exti, line, self.escs)
         self._heard: Any = None  # uint16_t[]: what `_obeyed` was made of
@@ -131,11 +130,33 @@ class Hardware:
         if line is not None:
             name = f"the gyro's data-ready edge (EXTI{line})"
             engine.bound_entry(interrupt(exti_interrupt(line)), ENTRY_BOUND, name, urgent=True)
+        for name, timer in self.timers.items():
+            beat = f"the beat that begins the gyro's reads ({name})"
+            engine.bound_entry(timer.interrupt, ENTRY_BOUND, beat, urgent=True)
         native.place(self.registers)
         self.iwdg.place(engine.windows[self.registers.window_name(self.iwdg)])
         self._wire(watchdog_resets)
         for address, data in signature():
             self.engine.set_memory(address, data)
+
+    @property
+    def gyro_timer(self) -> Timer | None:
+        """The timer whose beat begins the image's reads of the gyro; None: no timer interrupts."""
+        return next((timer for timer in self.timers.values() if timer.rings is not None), None)
+
+    @property
+    def hears_gyro(self) -> bool:
+        """True if the image has opened the gyro's data-ready line."""
+        return self.gyro_line is not None and bool(self.exti.words["IMR"] >> self.gyro_line & 1)
+
+    @property
+    def gyro_interrupt(self) -> int | None:
+        """The interrupt that begins the image's reads of the gyro; None: none is enabled."""
+        if self.hears_gyro:
+            assert self.gyro_line is not None
+            return load_table().interrupt(exti_interrupt(self.gyro_line))
+        timer = self.gyro_timer
+        return None if timer is None else timer.interrupt
 
     def touched(self) -> tuple[Touch, ...]:
         """Return every register that the image touched, with counts."""
@@ -201,15 +222,6 @@ class Hardware:
             self._obeyed = np.frombuffer(bytes(self.native.ffi.buffer(self._heard)), np.uint16)
         return self._obeyed
 
-    def _wire_timers(self) -> None:
-        """Let timers' channels drive the motors' pins that have them as alternate functions."""
-        for name, places in FUNCTIONS.items():
-            timer, _, channel = name.partition("_CH")
-            for motor, pin in enumerate(self.board.motors):
-                if timer in TIMERS and str(pin) in places:
-                    lib, handle = self.native.library, self.native.handle
-                    lib.native_esc_timer(handle, motor, TIMERS.index(timer), int(channel))
-
     def _leave_empty(self, gyro_place: int) -> None:
         """Watch the selects of chips that are not fitted, and of the OSD."""
         absent: list[facts.Chip | facts.GyroPlace] = [
@@ -219,7 +231,8 @@ class Hardware:
         for chip in absent:
             self.pins.drive(str(chip.select), True)
             lib = self.native.library
-            lib.native_chip(self.native.handle, lib.CHIP_ABSENT, chip.spi - 1, *place(chip.select))
+            if chip.spi != 0:  # of others nobody tells on which bus they are
+                lib.native_chip(self.native.handle, lib.CHIP_ABSENT, chip.spi - 1, *place(chip.select))
 
     def _set_clock(self, clocks: Clocks) -> None:
         self.native.library.native_clocks(

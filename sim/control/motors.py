@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neuroflight.sim.arrays import Array, Array32
-from neuroflight.toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, Mix
+from neuroflight.toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, DshotCommand, Mix
 from neuroflight.toolchain.errors import LinkError
 
 
@@ -49,18 +49,22 @@ def dshot_values(u: Array32, idle: float) -> NDArray[np.uint16]:
 def motor_fractions(dshot: NDArray[np.uint16]) -> Array:
     """Compute the motor fractions 0..1 that an ESC decodes: 0 for 0, otherwise (v - 48) / 1999.
 
-    dshot: 11-bit values, any shape. Raises LinkError on a value that is no throttle.
+    dshot: 11-bit values, any shape. Raises LinkError on a value that is no throttle; the command that ESCs
+    are asked by what they measure, which a firmware sends by itself before arming, leaves a motor standing.
     """
-    command = (dshot > DSHOT_STOP) & (dshot < DSHOT_MIN)
+    stands = (dshot == DSHOT_STOP) | (dshot == DshotCommand.EXTENDED_TELEMETRY)
+    command = ~stands & (dshot < DSHOT_MIN)
     if command.any() or (dshot > DSHOT_MAX).any():
         raise LinkError(
             f"DShot value {dshot[command | (dshot > DSHOT_MAX)][0]} is no throttle, expected {DSHOT_STOP} "
             f"or {DSHOT_MIN} to {DSHOT_MAX}: the firmware is broken"
         )
-    return np.where(dshot == DSHOT_STOP, 0.0, (dshot.astype(np.float64) - DSHOT_MIN) / DSHOT_SPAN)
+    return np.where(stands, 0.0, (dshot.astype(np.float64) - DSHOT_MIN) / DSHOT_SPAN)
 
 
-_THROTTLES = np.array([DSHOT_STOP, *range(DSHOT_MIN, DSHOT_MAX + 1)], np.uint16)
+_THROTTLES = np.array(
+    [DSHOT_STOP, DshotCommand.EXTENDED_TELEMETRY, *range(DSHOT_MIN, DSHOT_MAX + 1)], np.uint16
+)
 _FRACTIONS: dict[int, float] = dict(
     zip(_THROTTLES.tolist(), motor_fractions(_THROTTLES).tolist(), strict=True)
 )

@@ -37,7 +37,13 @@ from neuroflight.sim.ports.port import (
     SerialReceiverPort,
     control_divider,
 )
-from neuroflight.toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
+from neuroflight.toolchain.contract import (
+    BOOT_GRACE_MS,
+    CALIBRATION_MS,
+    CHANNEL_ARM,
+    CHANNEL_THROTTLE,
+    DSHOT_MIN,
+)
 from neuroflight.toolchain.errors import LinkError, TraceError
 
 FRAME_S = 0.003  # an SBUS frame is 25 x 12 bits at 100 kbaud
@@ -340,7 +346,7 @@ class _Lockstep:
         self._reply = reply
         # Until the firmware is armed the aircraft is held at rest: only its sensors are sampled.
         self._held = self._held and not reply.armed
-        if self._held and reply.dshot.any():
+        if self._held and (reply.dshot >= DSHOT_MIN).any():
             raise LinkError(f"the firmware turns motors while it is disarmed: DShot {reply.dshot.tolist()}")
 
 

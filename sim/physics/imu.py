@@ -12,11 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neuroflight.sim.aircraft.mass import Vector
 from neuroflight.sim.aircraft.model import Accelerometer, Gyro
 from neuroflight.sim.arrays import Array, Array32, Indices
 from neuroflight.sim.physics.library import assign, library, pointer, random_source, struct
 from neuroflight.toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
+# Where vibration is drawn and the aircraft's file has none: the axes over the worst one as logs of a racer
+# have them (docs/reference/aircraft.md); 2 and 3 times the turns over the turns are assumed: three blades.
+VIBRATION_AXES, VIBRATION_HARMONICS = (1.0, 1.0, 0.5), (0.1, 0.4)
 RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # [rad/s], the firmware's
 
 
@@ -44,6 +48,15 @@ def rotation_by(turn: Array) -> Array:
     return np.asarray(np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k))
 
 
+def vibration_axes(gyro: Gyro) -> tuple[Vector, tuple[float, ...]]:
+    """Return a gyro's vibration on each axis over that on its worst one, and its multiples."""
+    worst = max(gyro.vibration)
+    if worst == 0.0:
+        return VIBRATION_AXES, VIBRATION_HARMONICS
+    x, y, z = (axis / worst for axis in gyro.vibration)
+    return (x, y, z), gyro.harmonics
+
+
 class _Sensor:
     """Three axes of N aircraft: lag, bias, white noise and vibration, in the unit of the settings."""
 
@@ -64,14 +77,14 @@ class _Sensor:
         self._lagged = np.zeros((count, 3))
         self._fresh = np.ones(count, dtype=np.bool_)  # aircraft whose low-pass starts at its next input
         self._draws = np.zeros((count, 3))
-        self.vibrates = any(settings.vibration)  # whether `measure` needs the rotors' phases
+        self._shake = np.full(count, max(settings.vibration))
         bandwidth = settings.bandwidth_hz
         self.state = struct(
             "sensor",
             random=random_source(rng),
             noise=settings.noise,
-            vibrates=self.vibrates,
-            amplitude=settings.vibration,
+            vibrates=any(settings.vibration),
+            shake=self._shake,
             speed_max=speed_max,
             lags=bandwidth is not None,
             # First-order low-pass, exact for an input that stands still over the sample.
@@ -83,6 +96,11 @@ class _Sensor:
             draws=self._draws,
         )
         assign(self.state, **more)
+
+    @property
+    def vibrates(self) -> bool:
+        """True if `measure` needs the rotors' phases."""
+        return bool(self.state.vibrates)
 
     def reset(self, index: Indices) -> None:
         """Start a new episode for the aircraft of `index`: draw a new bias."""
@@ -129,7 +147,14 @@ class GyroModel(_Sensor):
     def __init__(self, gyro: Gyro, count: int, dt: float, rng: np.random.Generator, speed_max: float) -> None:
         # Rows times this matrix: the body's rate in the axes of a chip turned by `misalignment`.
         turn = rotation_by(np.array(gyro.misalignment)).ravel().tolist()
-        super().__init__(gyro, count, dt, rng, speed_max, turned=any(gyro.misalignment), turn=turn)
+        amplitude, harmonics = vibration_axes(gyro)
+        more = {"turned": any(gyro.misalignment), "turn": turn, "harmonics": harmonics}
+        super().__init__(gyro, count, dt, rng, speed_max, amplitude=amplitude, **more)
+
+    def shake(self, vibration: Array) -> None:
+        """Vibrate from now on by `vibration` (N,) [rad/s] on the worst axis; NaN: as the file says."""
+        self._shake[:] = np.where(np.isnan(vibration), max(self._settings.vibration), vibration)
+        self.state.vibrates = self.vibrates or not np.isnan(vibration).all()
 
 
 class AccelerometerModel(_Sensor):
@@ -144,4 +169,7 @@ class AccelerometerModel(_Sensor):
         speed_max: float,
     ) -> None:
         full_scale = accelerometer.full_scale
-        super().__init__(accelerometer, count, dt, rng, speed_max, saturates=True, full_scale=full_scale)
+        worst = max(accelerometer.vibration)
+        amplitude = [axis / worst for axis in accelerometer.vibration] if worst else accelerometer.vibration
+        more = {"saturates": True, "full_scale": full_scale, "amplitude": amplitude}
+        super().__init__(accelerometer, count, dt, rng, speed_max, **more)

@@ -147,6 +147,8 @@ class Twin:
             self._accelerometer = AccelerometerModel(aircraft.accelerometer, count, self._dt, own, speed_max)
         sensors = [sensor for sensor in (self._gyro, self._accelerometer) if sensor is not None]
         self._ideal = not (noise and any(aircraft.gyro.noise))
+        if self._gyro is not None and variation is not None:
+            self._gyro.shake(variation.vibration)
         self._phase = np.zeros(shape) if any(sensor.vibrates for sensor in sensors) else None  # [rad]
         self._phase_rng = rng.spawn(1)[0]
         self._wash = None
@@ -284,6 +286,8 @@ class Twin:
         self._world.vary(index, variation.mass, variation.inertia)
         if self._gyro is not None:
             self._gyro.vary(everyone.noise)
+            if self._phase is not None:
+                self._gyro.shake(everyone.vibration)
         self._delay.vary(np.maximum(1, np.rint(everyone.delay_s * self.rate_hz).astype(np.intp)))
         self._supply.vary(everyone.charge, self._load_factor[:, 5])
 

@@ -25,6 +25,7 @@ class Variation:
     noise: Array  # of the gyro, white noise and bias
     delay_s: Array  # [s], command to rotor, rounded to whole samples, at least one
     charge: Array  # state of charge of the battery, 0..1; NaN: the bench supply
+    vibration: Array  # [rad/s], what one rotor at full speed shakes the gyro's worst axis by; NaN: the file's
 
     def __post_init__(self) -> None:
         """Check shapes and ranges."""
@@ -33,7 +34,9 @@ class Variation:
             values: Array = getattr(self, field.name)
             if values.shape != shape or values.ndim != 1:
                 raise ValueError(f"variation {field.name} has shape {values.shape}, expected (N,) as mass")
-            if field.name == "charge":
+            if field.name == "vibration":
+                fits, expected = ~((values < 0.0) | np.isinf(values)), "0 or more, or NaN for the file's"
+            elif field.name == "charge":
                 fits, expected = ~((values < 0.0) | (values > 1.0)), "0 to 1, or NaN for the bench supply"
             elif field.name in ("delay_s", "noise"):
                 fits, expected = np.isfinite(values) & (values >= 0.0), "0 or more"
@@ -45,8 +48,8 @@ class Variation:
     @staticmethod
     def nominal(count: int, delay_s: float) -> Variation:
         """Return `count` aircraft as the file says, on the bench supply."""
-        one = np.ones(count)
-        return Variation(one, one, one, one, one, one, one, np.full(count, delay_s), np.full(count, np.nan))
+        one, own = np.ones(count), np.full(count, np.nan)
+        return Variation(one, one, one, one, one, one, one, np.full(count, delay_s), own, own)
 
     def __len__(self) -> int:
         """Return N, the number of aircraft."""

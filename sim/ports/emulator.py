@@ -3,6 +3,8 @@
 The board is powered with the port and stands, between two exchanges, one cycle before the edge of the gyro
 chip's data-ready line that the firmware reads next. An exchange lets the chip measure, and the board run to
 the cycle before the edge after that: motor frames, receiver bytes and everything else take their time in it.
+Where the firmware reads at a timer's beat instead, the port stands before the sample that such a read finds:
+the chip's samples come LEAD before the beats, and stay there as long as its clock is the processor's.
 
 Once a fault is there, neither edges nor firmware can be relied on. Exchanges keep their times; the chip
 measures what each brings, whenever it does, and motors do what their ESCs make of frames that come or not.
@@ -29,18 +31,15 @@ from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, tak
 from neuroflight.sim.board.debug.variables import read_variables
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
 from neuroflight.sim.board.devices.log_place import LogChip, open_log_chip
-from neuroflight.sim.board.fitted import FULL_VOLTS, Gyro, fitted_gyro, image_wiring
+from neuroflight.sim.board.fitted import FULL_VOLTS, Gyro, fitted_gyro, image_lines, image_wiring
 from neuroflight.sim.board.peripherals.signals import uart_name
 from neuroflight.sim.board.serial.idle_board import configured
-from neuroflight.sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings
+from neuroflight.sim.physics.esc import Words
+from neuroflight.sim.ports.port import AnsweredPort, Logged, Reply, Sample, control_divider, flight_settings
 from neuroflight.sim.ports.receiver_frames import RECEIVERS, Receiver
 from neuroflight.toolchain.boards import facts
-from neuroflight.toolchain.boards.allocation import allocate
-from neuroflight.toolchain.boards.description import described_receiver
 from neuroflight.toolchain.contract import (
     ESC_WORD_MAX,
-    FLASH_BANK_A,
-    FLASH_BASE,
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     SETTINGS,
@@ -54,6 +53,7 @@ from neuroflight.toolchain.image.elf import read_flashable
 
 BOOT_S = 5.0  # from power to the first sample that the firmware reads
 EDGE_CYCLES = TIME_HZ // GYRO_EDGE_RATE_HZ
+LEAD = TIME_HZ // 1_000_000  # of a sample before a timed read of it [cycles]
 _STATUS, _SAMPLES, _DIVIDER, _RATE = (
     f"firmware.{name}" for name in ("status", "samples", "control_divider", "gyro_rate_hz")
 )
@@ -86,7 +86,7 @@ class PortSnapshot:
     port: dict[str, Any]
 
 
-class EmulatedPort:
+class EmulatedPort(AnsweredPort):
     """A FirmwarePort around a board of its own. A fault of the board is raised as BoardError, a LinkError."""
 
     def __init__(
@@ -132,14 +132,13 @@ class EmulatedPort:
         gyro = gyro or fitted_gyro(wiring)
         names = (_STATUS, _SAMPLES, _DIVIDER, _RATE, *_LOG)
         self._variables = dict(zip(names, read_variables(elf, *names), strict=True))
-        self._alignment = gyro.alignment
-        receiver = receiver or described_receiver(flashed[FLASH_BANK_A.address - FLASH_BASE :])
-        self.receiver_uart = uart_name(allocate(wiring, receiver).receiver)
+        self._alignment, self._to_board = gyro.alignment, gyro.to_board
+        self.receiver_uart = uart_name(image_lines(flashed, wiring, receiver).receiver)
         self._plan = FaultPlan(faults, gyro_rate_hz)
         self._begin()
         wanted = _stored(settings, gyro_rate_hz)
         self._receiver = _receiver(wanted)
-        self.hears_rotors = bool(wanted.get("motor_telemetry", 0))
+        self._ask_rotors(wanted)
         self.image_sha256 = hashlib.sha256(flashed).hexdigest()
         try:
             flash = configured(flashed, elf, wanted, gyro, wiring)
@@ -221,7 +220,10 @@ class EmulatedPort:
         """See FirmwarePort. A frame must have been announced."""
         if channels_us is not None or self._announced:
             self._validate_announced(channels_us)
-        gyro, force = sample.gyro.tolist(), sample.specific_force.tolist()
+        rate, pull = sample.gyro, sample.specific_force
+        if self._to_board is not None:
+            rate, pull = self._to_board @ rate, self._to_board @ pull
+        gyro, force = rate.tolist(), pull.tolist()
         if not math.isfinite(sum(gyro) + sum(force)):
             raise LinkError(f"gyro {sample.gyro}, force {sample.specific_force}: no chip measures that")
         if self._plan.due:
@@ -252,8 +254,8 @@ class EmulatedPort:
         """See BatteryPort: the converter's pins, behind the board's divider and current sensor."""
         self.board.hardware.adc.set_battery(volts, amps)
 
-    def set_rotors(self, words: NDArray[np.uint16]) -> None:
-        """See RotorPort: the ESCs answer by them."""
+    def set_rotors(self, words: Words) -> None:
+        """See RotorPort: the board's own ESCs answer by them."""
         for esc, word in zip(self.board.hardware.escs, words.tolist(), strict=False):
             esc.answer = word if word <= ESC_WORD_MAX else None
 
@@ -316,7 +318,7 @@ class EmulatedPort:
             elif board.cycle < edge - 1:
                 self._run_to(edge - 1)
             elif self._listens():
-                return edge
+                return self._begin_reads(edge)
             else:
                 self._run_to(edge + EDGE_CYCLES // 2)
         reasons = arming_reasons(int(self._read(_STATUS)["arming_reasons"]))
@@ -324,9 +326,18 @@ class EmulatedPort:
         raise LinkError(f"the firmware reads no gyro sample within {BOOT_S:g} s of its boot: {told}")
 
     def _listens(self) -> bool:
-        """Return True if the firmware has opened the gyro's line, the last step of its boot."""
-        line = self.board.hardware.gyro_line
-        return line is not None and bool(self.board.hardware.exti.words["IMR"] >> line & 1)
+        """Return True if the firmware has opened the gyro's line or started its beat, last in its boot."""
+        return self.board.hardware.hears_gyro or self.board.hardware.gyro_timer is not None
+
+    def _begin_reads(self, edge: int) -> int:
+        """Return the cycle of the sample that the firmware reads first, `edge` if it follows the line."""
+        hardware = self.board.hardware
+        if not hardware.hears_gyro and (timer := hardware.gyro_timer) is not None:
+            assert timer.rings is not None
+            edge = timer.rings - LEAD
+            self._gyro.begin_at(edge)
+            self._run_to(edge - 1)
+        return edge
 
     def _validate_announced(self, channels_us: Sequence[int] | None) -> None:
         """Raise LinkError unless these channels were announced for this sample, or None and none were."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from neuroflight.sim.board.board import exti_interrupt
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.core.engine import Note
 from neuroflight.sim.board.debug.profile import task_counts
-from neuroflight.sim.board.registers.bus import load_table
 from neuroflight.sim.ports.emulator import EmulatedPort, Event
 
 _US = 1e6 / TIME_HZ
@@ -24,7 +22,7 @@ class EmulatedReport:
     board_s: float  # of the board's time, from power to the end
     real_time: float  # that, by the time it took
     instructions: int  # executed
-    gyro_wait_us: float  # the longest that a data-ready edge waited for its handler
+    gyro_wait_us: float  # the longest that a data-ready edge or beat waited for its handler
     gyro_wait_place: str  # what ran then; "" if none ever waited
     watchdog_margin_s: float | None  # the least that was left when it was fed
     card_writes: int | None  # blocks of the card, or pages of the flash chip; None: there is none
@@ -50,8 +48,8 @@ def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: fl
     flight_s: length of its scenario; took_s: elapsed real time, with the boot, the twin and all else.
     """
     report = port.board.report()
-    line = port.board.hardware.gyro_line
-    handler = None if line is None else 16 + load_table().interrupt(exti_interrupt(line))
+    interrupt = port.board.hardware.gyro_interrupt
+    handler = None if interrupt is None else 16 + interrupt
     edge = next((task for task in task_counts(port.board.engine) if task.exception == handler), None)
     card = port.board.hardware.log_place.chip
     stops = [event.at_s for event in port.events if event.stops]

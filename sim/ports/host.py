@@ -25,14 +25,12 @@ from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.transport import TcpPort, TcpTransport
 from neuroflight.sim.arrays import Indices
 from neuroflight.sim.control.motors import each_fraction
-from neuroflight.sim.physics.esc import Words
 from neuroflight.sim.ports.port import (
+    AnsweredPort,
     AskedPort,
     Reply,
     Sample,
-    all_words,
     flight_settings,
-    hears_rotors,
     setting_changes,
 )
 from neuroflight.sim.ports.simulator_link import (
@@ -76,7 +74,7 @@ _TRACE_DSHOT = _TRACE.size - 2 * MOTOR_COUNT_MAX  # where they begin
 _PACKETS = ("motor packet", "trace packet")  # in the order of api.h
 
 
-class HostPort(AskedPort):
+class HostPort(AskedPort, AnsweredPort):
     """FirmwarePort around a host program of its own, which ends with the port."""
 
     def __init__(
@@ -115,9 +113,7 @@ class HostPort(AskedPort):
             self._ask_policy(gyro_rate_hz)
             self._motors_of = _motors_of_outputs(wanted, self.motor_count)  # traces tell motors
             self._close = undo.pop_all()
-        self.hears_rotors = hears_rotors(wanted)
-        self._words: Words | None = None  # what the ESCs answer to the frame of the next sample
-        self._answered: Words | None = None  # and to that of the last one
+        self._ask_rotors(wanted)
         self._wire = self._joined()
         self._channels = self._ffi.new("uint16_t[]", CHANNEL_COUNT)
         self._sample: Sample | None = None  # whose values `_values` points to
@@ -133,9 +129,9 @@ class HostPort(AskedPort):
         if channels_us is not None:
             channels, self._channels[0:CHANNEL_COUNT] = self._channels, channels_us
         step, after = divmod(self._samples, self._divider)
-        if after == 0 and self._answered is not None:
-            self._send_beside(_ROTORS.pack(SIM_ROTOR_MAGIC, sample.time_s, *self._answered.tolist()))
-        self._answered, self._words = self._words, None
+        rotors = self._rotors()
+        if after == 0 and rotors is not None:
+            self._send_beside(_ROTORS.pack(SIM_ROTOR_MAGIC, sample.time_s, *rotors.tolist()))
         found = self._lib.link_exchange(self._wire, sample.time_s, self._values, channels, after == 0)
         if found != self._lib.LINK_SAME or self._reply is None:
             self._read(found, step if after == 0 else None)
@@ -145,9 +141,6 @@ class HostPort(AskedPort):
 
     def set_battery(self, volts: float, amps: float) -> None:
         self._send_beside(_POWER.pack(SIM_POWER_MAGIC, self._samples / self.gyro_rate_hz, volts, amps, 0.0))
-
-    def set_rotors(self, words: Words) -> None:
-        self._words = all_words(words)
 
     def _send_beside(self, packet: bytes) -> None:
         """Send a packet of the power port."""

@@ -16,12 +16,11 @@ from neuroflight.sim.arrays import Array
 from neuroflight.sim.compiled import contract_declarations
 from neuroflight.sim.physics.esc import Words
 from neuroflight.sim.ports.port import (
+    AnsweredPort,
     AskedPort,
     Reply,
     Sample,
-    all_words,
     flight_settings,
-    hears_rotors,
     setting_changes,
 )
 from neuroflight.sim.structs import struct_declaration
@@ -159,7 +158,7 @@ class Reference:
         """Do nothing: the memory is Python's."""
 
 
-class ReferencePort(AskedPort):
+class ReferencePort(AskedPort, AnsweredPort):
     """FirmwarePort around the library: the fastest way to fly the firmware bit for bit."""
 
     def __init__(
@@ -171,9 +170,7 @@ class ReferencePort(AskedPort):
         """Boot a fresh firmware. Raises LinkError as Reference does."""
         wanted = flight_settings(settings)
         self.reference = Reference(library, gyro_rate_hz, wanted)
-        self.hears_rotors = hears_rotors(wanted)
-        self._words: Words | None = None  # what the ESCs answer to the frame of the next sample
-        self._answered: Words | None = None  # and to that of the last one
+        self._ask_rotors(wanted)
         self._ask_policy(gyro_rate_hz)
         self._until_control = 0
         self._sample: Sample | None = None  # whose values `_take` takes
@@ -183,9 +180,9 @@ class ReferencePort(AskedPort):
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         if channels_us is not None:
             self.reference.receiver(channels_us)
-        if self._until_control == 0 and self._answered is not None:
-            self.reference.rotors(self._answered)
-        self._answered, self._words = self._words, None
+        rotors = self._rotors()
+        if self._until_control == 0 and rotors is not None:
+            self.reference.rotors(rotors)
         if sample is not self._sample:
             self._sample, self._take = sample, self.reference.sampler(sample.values)
         changed = self._take()
@@ -196,9 +193,6 @@ class ReferencePort(AskedPort):
 
     def set_battery(self, volts: float, amps: float) -> None:
         self.reference.power(volts, amps)
-
-    def set_rotors(self, words: Words) -> None:
-        self._words = all_words(words)
 
     def close(self) -> None:
         self.reference.close()

@@ -192,6 +192,29 @@ class AskedPort:
         return Logged(info.logging, info.frames, info.dropped, info.bytes)
 
 
+class AnsweredPort:
+    """The answers of ESCs to the frames of a firmware: RotorPort, as ports that hand them over have it."""
+
+    hears_rotors = False
+    _words: Words | None = None  # all outputs', to the frame of the next sample
+    _answered: Words | None = None  # and to that of the last one
+
+    def _ask_rotors(self, settings: Mapping[str, float]) -> None:
+        """Ask for rotor speeds if a firmware with these settings does."""
+        self.hears_rotors = bool(settings.get("motor_telemetry", 0))
+
+    def set_rotors(self, words: Words) -> None:
+        """See RotorPort; outputs without an ESC are silent."""
+        told = np.full(MOTOR_COUNT_MAX, ESC_SILENT, np.uint16)
+        told[: len(words)] = words
+        self._words = told
+
+    def _rotors(self) -> Words | None:
+        """Return what the ESCs answered to the last sample's frame, at each sample; None: nothing was set."""
+        answered, self._answered, self._words = self._answered, self._words, None
+        return answered
+
+
 def twin_settings(aircraft: Aircraft) -> dict[str, float]:
     """Return settings for the twin of `aircraft`: without gyro noise the check for a stuck gyro is off."""
     return {} if any(aircraft.gyro.noise) else {"gyro_stuck_ms": 0}
@@ -218,18 +241,6 @@ def flight_settings(settings: Mapping[str, float] | None) -> dict[str, float]:
     given = dict(settings or {})
     rates = {} if given.get("rates_style", 0) else FLIGHT_RATES
     return {"arming_delay_ms": BOOT_GRACE_MS, "ground_detection": 0, **rates, **given}
-
-
-def hears_rotors(settings: Mapping[str, float]) -> bool:
-    """Return True if a firmware with these settings asks its ESCs for rotor speeds."""
-    return bool(settings.get("motor_telemetry", 0))
-
-
-def all_words(words: Words) -> Words:
-    """Return the words of all outputs that a firmware may have: those that are not given are silent."""
-    told = np.full(MOTOR_COUNT_MAX, ESC_SILENT, np.uint16)
-    told[: len(words)] = words
-    return told
 
 
 def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from neuroflight.sim.arrays import Array32
 from neuroflight.sim.control import sticks
 from neuroflight.sim.control.battery_voltage import BatteryVoltage
 from neuroflight.sim.control.controller import Controller, PolicyController
-from neuroflight.sim.control.gyro_mean import GyroMean
+from neuroflight.sim.control.gyro_filter import GyroFilter
 from neuroflight.sim.control.motors import dshot_values, throttle_mix
 from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.physics.esc import Words, words_speed
@@ -40,6 +40,7 @@ from neuroflight.toolchain.contract import (
     THROTTLE_LOW_US,
     Mix,
 )
+from neuroflight.toolchain.policy.gyro_filters import UNFILTERED, GyroFilters
 
 
 class ControllerPort:
@@ -54,9 +55,9 @@ class ControllerPort:
         idle: float = IDLE_DEFAULT,
         *,
         mix: Mix = Mix.ATTITUDE_FIRST,
-        gyro_mean: bool = False,
+        gyro_filters: GyroFilters = UNFILTERED,
     ) -> None:
-        """gyro_mean: the controller sees the mean of the samples of a control period.
+        """gyro_filters: before the controller.
 
         Raises LinkError when the control rate does not divide the gyro rate.
         """
@@ -66,7 +67,7 @@ class ControllerPort:
         self._controller = controller
         self._idle, self._mix = idle, mix
         self._divider = control_divider(gyro_rate_hz, control_rate_hz)
-        self._mean = GyroMean(1, self._divider if gyro_mean else 1)
+        self._filter = GyroFilter(gyro_filters, 1, motor_count, control_rate_hz, self._divider)
         self._calibration = CALIBRATION_MS * gyro_rate_hz // 1000  # samples
         self._grace = max(CALIBRATION_MS, BOOT_GRACE_MS) * gyro_rate_hz // 1000
         self._hold = RECEIVER_HOLD_MS * gyro_rate_hz // 1000
@@ -81,7 +82,9 @@ class ControllerPort:
         self._switch = True  # as of the step before: on, so that a switch left on does not arm
         self._armed = False
         self._reply: Reply | None = None
-        self.hears_rotors = isinstance(controller, PolicyController) and controller.hears_rotors
+        self.hears_rotors = gyro_filters.rpm is not None or (
+            isinstance(controller, PolicyController) and controller.hears_rotors
+        )
         self._words = np.full(motor_count, ESC_STANDS, np.uint16)  # the ESCs' to the frame of the next sample
         self._answered = self._words  # and to that of the last one
 
@@ -95,12 +98,14 @@ class ControllerPort:
         if channels_us is not None:
             self._hear(np.array(channels_us, np.uint16))
             self._age = 0
-        self._mean.add((counts(sample.gyro).astype(np.float32) * RATE_PER_COUNT - self._bias)[None])
+        if self._samples % self._divider == 0:
+            self._filter.told(words_speed(self._answered)[None])
+        self._filter.add((counts(sample.gyro).astype(np.float32) * RATE_PER_COUNT - self._bias)[None])
         if isinstance(self._controller, PolicyController) and self._controller.senses:
             self._controller.sense(words_speed(self._answered)[None], sample.rotation[None])
         self._answered = self._words
         if self._samples % self._divider == 0 or self._reply is None:
-            self._reply = self._control(self._mean.mean()[0], self._samples // self._divider)
+            self._reply = self._control(self._filter.read()[0], self._samples // self._divider)
         self._samples += 1
         return self._reply
 

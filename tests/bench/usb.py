@@ -23,13 +23,13 @@ from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.sd_card import SdCard
 from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.sim.board.serial.usb_peer import DATA_IN, DATA_OUT, UsbPeer, finish, plug, run
 from neuroflight.sim.board.usb.enumeration import Description, transfer_to
 from neuroflight.sim.board.usb.host import Transfer
 from neuroflight.sim.control.pid_table import pid_table
 from neuroflight.toolchain.contract import Msp
 from neuroflight.toolchain.image.build import build
 from tests.bench.board import AIRCRAFT, POLICY, ROOT
-from tests.firmware.board.usb_peer import DATA_IN, DATA_OUT, UsbPeer, finish, plug, run
 
 BAR = 500.0  # KB/s of a log
 CARD_BYTES, LOG_BYTES, READ_BYTES = 64 << 20, 1 << 20, 200_000

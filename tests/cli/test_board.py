@@ -15,10 +15,13 @@ from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 from yamspy import MSPy
 
+from neuroflight.cli.image.emulated import on_board, parse_serials
 from neuroflight.cli.main import main
 from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.transport import open_transport
 from neuroflight.flash.settings.values import Settings
+from neuroflight.sim.board.fitted import image_lines
+from neuroflight.toolchain.boards.table import find_board
 from neuroflight.toolchain.contract import FLASH_BYTES, Msp
 from neuroflight.toolchain.files import claimed_file
 from tests.forked import Forked
@@ -85,7 +88,7 @@ def test_settings_are_there_in_the_next_run_when_flash_is_kept(
         settings = Settings(client)
         settings.set("msp_baud", 921_600)
         settings.save()
-        assert client.request(Msp.REBOOT) == b""
+        assert client.request(Msp.REBOOT, timeout=20.0) == b""
     code, out, errors = board.interrupt()
     assert (code, errors) == (0, "")
     assert re.fullmatch(r"\n\d+\.\d s on the board, resets: (none|software)\n", out)
@@ -252,11 +255,10 @@ def test_its_usb_connector_is_a_usbip_server_when_a_cable_is_plugged(
         (["--usb=0.0.0.0:3240"], "--usb: got '0.0.0.0:3240', expected a port of 0 to 65535"),
         (["--usb=70000"], "--usb: got '70000', expected a port of 0 to 65535"),
         (["--serial=udp"], "--serial: got 'udp', expected pty, tcp or tcp:PORT"),
-        (
-            ["--serial=uart2=pty"],
-            "--serial: got 'uart2=pty', expected pty, tcp or tcp:PORT, for UART3 behind",
-        ),
-        (["--serial=pty", "--serial=tcp"], "--serial: got uart1 twice, expected each UART once"),
+        (["--serial=uart2=pty"], "--serial: got uart2, expected a serial port of MATEKF722: uart1 (msp) and"),
+        (["--serial=uart9=pty"], "--serial: got 'uart9=pty', expected pty, tcp or tcp:PORT, for another"),
+        (["--serial=pty", "--serial=tcp"], "--serial: got msp twice, expected each UART once"),
+        (["--serial=pty", "--serial=uart1=tcp"], "--serial: uart1 is given twice on MATEKF722"),
         (["--serial=tcp:70000"], "--serial: got 'tcp:70000', expected pty, tcp or tcp:PORT"),
         (["--baud=0"], "--baud 0, expected 1 to 10000000"),
         (["--gdb=-1"], "--gdb -1, expected 0 to 65535"),
@@ -315,3 +317,30 @@ def test_a_second_board_is_refused_when_the_first_keeps_the_same_flash(
     assert list(tmp_path.iterdir()) == []
     assert main(words) == 0
     assert [item.name for item in tmp_path.iterdir()] == ["flash.bin"]
+
+
+@pytest.mark.parametrize(
+    ("board", "texts", "purposes"),
+    [
+        ("MATEKF722", ("tcp", "uart3=pty"), ["msp", "second"]),
+        ("STELLARF7V2", ("uart3=tcp", "tcp"), ["msp", "second"]),
+        ("STELLARF7V2", ("uart2=tcp",), ["msp"]),
+    ],
+)
+def test_serial_ports_are_those_of_the_images_board(
+    board: str, texts: tuple[str, ...], purposes: list[str]
+) -> None:
+    lines = image_lines(b"", find_board(board))
+    assert list(on_board(parse_serials(texts), lines, board)) == purposes
+
+
+def test_a_board_without_a_uart_for_msp_is_reached_by_usb_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chip = tmp_path / "chip.bin"
+    chip.write_bytes(b"\1" + b"\xff" * (FLASH_BYTES - 1))
+    words = ["image", "emulate", "--chip", str(chip), "--board", "NBD_INFINITYAIO"]
+    assert main(words) == 1
+    assert "NBD_INFINITYAIO has no UART for MSP, only USB; add --usb" in capsys.readouterr().err
+    assert main([*words, "--serial", "tcp"]) == 1
+    assert "--serial: got msp, expected a serial port of NBD_INFINITYAIO" in capsys.readouterr().err

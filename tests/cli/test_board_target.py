@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -36,15 +37,15 @@ def test_the_list_as_json_says_why_a_board_is_not_flown(capsys: Capture) -> None
     told = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
     assert told.keys() == boards().keys()
     assert told["MATEKF722"]["flies"] and told["MATEKF722"]["uarts"] == {"receiver": 2, "msp": 1, "second": 3}
-    assert not told["AIRF7"]["flies"] and "data-ready line" in told["AIRF7"]["fault"]
+    assert not told["NUCLEOF722"]["flies"] and "gyro" in told["NUCLEOF722"]["fault"]
 
 
 def test_one_board_is_told_with_what_serves_what(capsys: Capture) -> None:
     assert main(["board", "target", "list", "SPEEDYBEEF7MINI"]) == 0
     told = capsys.readouterr().out
     assert "PB4 PB5 PB0 PB1" in told and "SPI1_RX DMA2 S2" in told
-    assert main(["board", "target", "list", "AIRF7"]) == 1
-    assert "no: the data-ready line" in capsys.readouterr().out
+    assert main(["board", "target", "list", "NUCLEOF722"]) == 1
+    assert "no: where its gyro is wired to" in capsys.readouterr().out
 
 
 def test_a_dump_becomes_a_target_that_is_built_as_the_tables(tmp_path: Path, capsys: Capture) -> None:
@@ -61,8 +62,8 @@ def test_a_dump_becomes_a_target_that_is_built_as_the_tables(tmp_path: Path, cap
 def test_a_target_gets_the_name_and_gyro_that_the_user_tells(tmp_path: Path, capsys: Capture) -> None:
     text, out = tmp_path / "config.h", tmp_path / "mine.toml"
     text.write_text(header(find_board("NEUTRONRCF722AIO")))
-    assert "its gyro is not flown, BMI270: " in refused(capsys, "import", text, "--out", out)
-    assert not out.exists()
+    assert main(["board", "target", "import", str(text), "--out", str(out)]) == 0
+    assert "asks for --gyro-file, bmi270_maximum_fifo.c of" in " ".join(capsys.readouterr().out.split())
     words = ["--name", "MINE", "--gyro", "icm42688p", "--json"]
     assert main(["board", "target", "import", str(text), "--out", str(out), *words]) == 0
     assert json.loads(capsys.readouterr().out)["out"] == str(out)
@@ -99,3 +100,24 @@ def test_no_image_is_guessed_where_several_boards_are_built(
     told = capsys.readouterr().err
     assert "images of several boards are built, ONE, OTHER; name the one" in told
     assert told.count("nothing was written") == 1 == told.count("\n")
+
+
+def test_what_is_flown_is_the_board_that_was_built_for_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(built, "BUILD", tmp_path)
+    assert built.built_last() == tmp_path / "MATEKF722"
+    for name, target in (("ONE", "ONE"), ("MINE", "mine.toml")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "neuroflight.bin").write_bytes(b"")
+        built.note_built(name, target)
+        assert built.built_last() == tmp_path / name
+    assert (tmp_path / "built").read_text() == f"MINE\n{Path('mine.toml').resolve()}\n"
+    assert built.host_is_older()
+    (tmp_path / "HOST").mkdir()
+    (tmp_path / built.HOST_REPORT).write_text("")
+    os.utime(tmp_path / "built", (1, 1))
+    assert not built.host_is_older()
+    for wrong in ("GONE\n", "", "\xff"):
+        (tmp_path / "built").write_text(wrong, encoding="latin-1")
+        assert built.built_last() == tmp_path / "MATEKF722"

@@ -34,7 +34,7 @@ def fly(
     capsys: pytest.CaptureFixture[str],
 ) -> Fly:
     """Flies some seconds with the trace NAME; the JSON document."""
-    monkeypatch.setattr(fly_ports, "BOARD", board_image.parent)
+    monkeypatch.setattr(fly_ports, "built_last", lambda: board_image.parent)
     monkeypatch.setattr(fly_ports, "BUILD", host_program.parent)
 
     def run(name: str, *options: object, seconds: float = 1.0) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from neuroflight.flash.link.client import Client
 from neuroflight.flash.link.transport import TcpPort, TcpTransport
 from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.source_places import Places
+from neuroflight.sim.board.fitted import Lines
 from neuroflight.sim.flight.trace import COLUMNS, Trace, load_trace
 from neuroflight.toolchain.contract import FLASH_BASE, MSP_VARIANT_BETAFLIGHT, Msp
 from tests.refusal import refused
@@ -46,7 +47,7 @@ def fly(
     capsys: pytest.CaptureFixture[str],
 ) -> Command:
     """Flies a tenth of a second; exit code, stdout and stderr."""
-    monkeypatch.setattr(fly_ports, "BOARD", board_image.parent)
+    monkeypatch.setattr(fly_ports, "built_last", lambda: board_image.parent)
     monkeypatch.setattr(fly_ports, "BUILD", host_program.parent)
     scenario = tmp_path / "short.toml"
     scenario.write_text("[[segment]]\nduration_s = 0.1\nsetpoint_deg_s = [50, 0, 0]\n")
@@ -313,6 +314,11 @@ def test_it_flies_while_clients_ask_on_both_uarts_when_told_to(fly: Command, cli
     assert heard == [MSP_VARIANT_BETAFLIGHT] * 2
 
 
+def test_uart3_is_off_unless_it_is_set_to_msp(fly: Command) -> None:
+    code, _, errors = fly("--serial", "uart3=pty")
+    assert code == 1 and "--serial uart3: got a board whose UART3 is off" in errors
+
+
 def test_a_flight_ends_when_it_is_interrupted_wherever_the_board_is(fly: Command, client: Any) -> None:
     before = signal.getsignal(signal.SIGINT)
     client(lambda port: os.kill(os.getpid(), signal.SIGINT))
@@ -369,7 +375,7 @@ def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
     told = client(debug)
     with ExitStack() as ends:
         args = Fly(gdb=0)
-        run_to = fly_emulator.attached(args, board, image, ends)
+        run_to = fly_emulator.attached(args, board, image, ends, Lines(2, 1, 3), {})
         assert board.cycle == 0
         run_to(10_000)
         assert board.cycle >= 10_000
@@ -389,7 +395,6 @@ def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
         (["--profile", "d"], "--profile: only on the emulated board"),
         (["--gdb", "0"], "--gdb: only on the emulated board"),
         (["--on", "emulator", "--serial", "usb"], "--serial: got 'usb', expected pty, tcp or tcp:PORT"),
-        (["--on", "emulator", "--serial", "uart3=pty"], "--serial uart3: got a board whose UART3 is off"),
         (["--on", "emulator", "--serial", "tcp:99999"], "--serial: got 'tcp:99999'"),
         (["--on", "emulator", "--gdb", "-1"], "--gdb: got -1, expected a port"),
         (["--on", "emulator", "--fault", "crystal"], "expected NAME"),

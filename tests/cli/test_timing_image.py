@@ -28,6 +28,10 @@ CONTROL_TASK_CYCLES = 22_000  # predicted, of the shipped policy: a tenth of a c
             "--uart-tasks 1000001, expected 0 to 1000000",
         ),
         (["image", "time", "image.bin", "--plot", "runs.jpg"], "runs.jpg: expected a name that ends in .png"),
+        (
+            ["image", "time", "image.bin", "--set", "motor_poles=1"],
+            "setting motor_poles got 1, expected a whole number from 2 to 100 magnets",
+        ),
         (["image", "time", "image.bin"], "report.json (No such file or directory); build image.bin anew"),
         (
             ["image", "time", "policy.onnx"],

@@ -314,10 +314,16 @@ class Bench:
         for name, value in flight_settings(settings).items():
             setattr(self.settings, name, value)
         self.pid = core.new("struct pid_gains *") if pid is None else pid
-        weights = core.lib.policy_weights
         config = core.new(
             "struct firmware_config *",
-            (gyro_hz, alignment, 0, self.settings, weights, core.ffi.NULL, policy_good, self.pid),
+            {
+                "gyro_rate_hz": gyro_hz,
+                "alignment": alignment,
+                "settings": self.settings,
+                "weights": core.lib.policy_weights,
+                "policy_good": policy_good,
+                "pid": self.pid,
+            },
         )
         self.error = core.lib.firmware_init(self.fw, config)
         assert self.error == expect

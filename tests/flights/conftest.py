@@ -55,5 +55,5 @@ def pid() -> ControllerPort:
     nf1 = load_aircraft("nf1")
     own = pid_settings(nf1)
     return ControllerPort(
-        aircraft_pid(nf1), 4, GYRO_RATE_HZ, idle=own.idle, mix=own.mix, gyro_mean=own.gyro_mean
+        aircraft_pid(nf1), 4, GYRO_RATE_HZ, idle=own.idle, mix=own.mix, gyro_filters=own.gyro_filters
     )

@@ -9,9 +9,12 @@ import numpy as np
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.toolchain.contract import observation_blocks, observation_count
 from neuroflight.toolchain.policy.freeze import to_onnx
+from neuroflight.toolchain.policy.gyro_filters import UNFILTERED, GyroFilters
 
 
-def frozen(observation: str, idle: float, scale: Sequence[float] = ()) -> bytes:
+def frozen(
+    observation: str, idle: float, scale: Sequence[float] = (), filters: GyroFilters = UNFILTERED
+) -> bytes:
     """A policy.onnx of random weights, too weak to turn the aircraft faster than its gyro's full scale.
 
     scale: of each number that it observes; default 0.5.
@@ -32,7 +35,7 @@ def frozen(observation: str, idle: float, scale: Sequence[float] = ()) -> bytes:
         "observation": observation,
         "observation_scale": list(scale) or [0.5] * inputs,
         "control_rate_hz": 1000,
-        "filters": [],
+        "filters": filters.chain,
         "hidden": [16, 16],
         "activation": "tanh",
         "output": {"scale": 0.5, "offset": 0.4, "squash": True},

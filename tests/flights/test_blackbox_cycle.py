@@ -102,14 +102,15 @@ def logged(
 ) -> Iterator[Fly]:
     """`neuroflight fly` with a log, on the port or to the card that is named."""
     monkeypatch.setattr(fly_ports, "BUILD", host_program.parent)
-    monkeypatch.setattr(fly_ports, "BOARD", board_image.parent)
 
     def fly(where: str, *arguments: str, code: int = 0) -> Flight:
         port = PORTS["emulator" if where == "card" else where]
         seen, log, trace = Watched(), tmp_path / f"{where}.bbl", tmp_path / f"{where}.npz"
         monkeypatch.setattr(port, "exchange", seen.wrap(port.exchange))  # type: ignore[attr-defined]
         to = ["--card", str(new_card(tmp_path / "card.img"))] if where == "card" else ["--blackbox", str(log)]
-        on = ["--on", "emulator" if where == "card" else where]
+        on = ["--on", where]
+        if where in ("card", "emulator"):
+            on = ["--on", "emulator", "--build", str(board_image.parent)]
         capsys.readouterr()
         assert main(["fly", *on, *to, "--trace", str(trace), "--json", *arguments]) == code
         told = json.loads(capsys.readouterr().out)

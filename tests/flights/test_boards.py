@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from neuroflight.sim.board.board import Board as Powered
 from neuroflight.sim.board.fitted import GYROS, fitted_gyro
+from neuroflight.sim.board.serial.idle_board import configured
 from neuroflight.sim.flight.scenario import Scenario, Segment
 from neuroflight.sim.flight.trace import Trace
 from neuroflight.sim.ports.emulator import EmulatedPort
 from neuroflight.sim.ports.library import ReferencePort
 from neuroflight.toolchain.boards.allocation import Allocation, allocate
 from neuroflight.toolchain.boards.description import pack
-from neuroflight.toolchain.boards.facts import Board, Pin
+from neuroflight.toolchain.boards.facts import Board, Pin, Turn
 from neuroflight.toolchain.boards.processor import Stream
 from neuroflight.toolchain.boards.table import boards, find_board
 from neuroflight.toolchain.boards.verdict import judge
 from neuroflight.toolchain.errors import LinkError
+from neuroflight.toolchain.image.elf import read_flashable
 from neuroflight.toolchain.image.stamp import stamp
+from tests.flights.wiring import on_turned_board
 from tests.sampling import sampled
 
 Flown = Callable[..., Trace]
@@ -47,6 +53,9 @@ CLASSES = {
     "FLYCOLORF7V2": "motors on three ports, receiver on another UART",
     "NERO": "motors on ports A, B, C; a card; receiver and MSP on other UARTs",
     "FOXEERF722V4": "motors on PA9, PA8, PC9, PC8",
+    "OMNINXT7": "no data-ready line",
+    "SKYSTARSF7HD": "turned by its maker: roll 180, yaw 90",
+    "AOCODARCF722_AIO": "turned by its maker: yaw 135",
 }
 
 
@@ -82,33 +91,82 @@ def flat(elf: Path) -> Path:
     return out
 
 
-@pytest.mark.parametrize("name", sampled(list(CLASSES), "MAMBAF722_X8", "APEXF7", "LUXAIO"))
+@pytest.mark.parametrize("name", sampled(list(CLASSES), "MAMBAF722_X8", "LUXAIO"))
 def test_the_code_flies_the_bits_of_the_host_program_on_a_board_of_each_class(
     stamped: Stamped, reference_library: Path, flown: Flown, name: str
 ) -> None:
-    on_board = flown(EmulatedPort(stamped(find_board(name))), part())
+    board = find_board(name)
+    on_board = flown(EmulatedPort(stamped(board)), part())
     assert np.ptp(on_board.dshot, axis=0).min() > 300  # every motor has something to do
-    assert flown(ReferencePort(reference_library), part()).same(on_board)
+    assert flown(on_host(reference_library, board.turn_deg), part()).same(on_board)
+
+
+def on_host(library: Path, turn: Turn) -> ReferencePort:
+    """The library, its chip mounted as on the board: the maker's turn is told it by the pilot's settings."""
+    turns = dict(zip(("board_roll_deg", "board_pitch_deg", "board_yaw_deg"), turn, strict=True))
+    return on_turned_board(ReferencePort(library, settings=turns), turn)
+
+
+@pytest.mark.parametrize("name", sampled([b.name for b in boards().values() if any(b.turn_deg)], "RUSHF7AIO"))
+def test_the_aircraft_does_as_it_is_told_when_its_maker_turns_the_board(
+    board_image: Path, stamped: Stamped, tmp_path: Path, reference_library: Path, flown: Flown, name: str
+) -> None:
+    """It flies as one with a board that is not turned; and not so where the table has the other sign."""
+    board, wrong = find_board(name), tmp_path / "wrong.elf"
+    roll, pitch, yaw = board.turn_deg
+    stamp(board_image, pack(allocate(replace(board, turn_deg=(roll, pitch, -yaw)))), wrong)
+    straight = flown(ReferencePort(reference_library), part())
+    right, other = (
+        flown(EmulatedPort(image, wiring=board), part()) for image in (stamped(board), flat(wrong))
+    )
+    assert flown(on_host(reference_library, board.turn_deg), part()).same(right)
+    apart = [np.degrees(np.abs(flight.rate - straight.rate).mean()) for flight in (right, other)]
+    print(f"{name}: {apart[0]:.2f} deg/s off a straight board's flight, with the other sign {apart[1]:.0f}")
+    assert apart[0] < 2 and apart[1] > 40
 
 
 def supported() -> list[Board]:
     """All boards that the firmware flies on, and that have a motor output for each of the policy's."""
-    return [board for board in boards().values() if not judge(board).fault and len(board.motors) >= MOTORS]
+    verdicts = map(judge, boards().values())
+    flown = [verdict.board for verdict in verdicts if not verdict.fault and not verdict.file]
+    return [board for board in flown if len(board.motors) >= MOTORS]
+
+
+@pytest.fixture(scope="module")
+def on_library(reference_library: Path, flown: Flown) -> Callable[[Turn], Trace]:
+    """Flies the library on a board that is so turned, once for each turn."""
+    return cache(lambda turn: flown(on_host(reference_library, turn), arming()))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [board.name for board in supported()])
 def test_the_code_arms_and_flies_the_same_bits_on_every_board(
-    stamped: Stamped, reference_library: Path, flown: Flown, name: str
+    stamped: Stamped, on_library: Callable[[Turn], Trace], flown: Flown, name: str
 ) -> None:
     board = find_board(name)
-    kinds = [kind.lower() for kind in board.gyro_kinds if kind.lower() in GYROS]
+    kinds = [kind.lower() for kind in board.gyro_kinds if kind.lower() in GYROS and kind != "BMI270"]
     exact = next((kind for kind in kinds if not kind.startswith("lsm")), None)  # those count in other steps
     gyro = fitted_gyro(board, kind=exact)
     on_board = flown(EmulatedPort(stamped(board), gyro=gyro), arming())
-    on_host = flown(ReferencePort(reference_library), arming())
+    expected = on_library(board.turn_deg)
     assert np.ptp(on_board.dshot, axis=0).min() > 100
-    assert on_board.same(on_host) if exact else np.abs(on_board.gyro - on_host.gyro).max() < 0.01
+    assert on_board.same(expected) if exact else np.abs(on_board.gyro - expected.gyro).max() < 0.01
+
+
+def with_two_gyros() -> list[str]:
+    """The boards whose second gyro can be chosen."""
+    served = [verdict.allocation for verdict in map(judge, boards().values()) if verdict.allocation]
+    return [one.board.name for one in served if one.gyros[1:] and one.gyros[1].spi != 0]
+
+
+@pytest.mark.parametrize("name", sampled(with_two_gyros(), "ALIENFLIGHTNGF7_DUAL"))  # on a bus of its own
+def test_the_second_gyro_of_a_board_is_read_when_it_is_chosen(stamped: Stamped, name: str) -> None:
+    board, image = find_board(name), stamped(find_board(name))
+    elf, gyro = image.with_suffix(".elf"), fitted_gyro(board, place=1)
+    flash = configured(read_flashable(image), elf, {"gyro_select": 1.0}, fitted_gyro(board), board)
+    with closing(Powered(flash, elf=elf, board=board, chip=gyro.chip, gyro_place=1)) as powered:
+        powered.run(0.5)
+        assert powered.hardware.gyro.samples > 400
 
 
 # ---- tables that do not fit the board ----
@@ -148,7 +206,7 @@ def test_an_image_fails_when_its_table_is_not_the_boards(
     change, message = WRONG[name]
     image = restamped(board_image, change(allocate(find_board("MATEKF722"))), tmp_path)
     with pytest.raises(LinkError, match=message):
-        flown(EmulatedPort(image), part())
+        flown(EmulatedPort(image, receiver=2), part())  # wired to where it belongs
 
 
 def test_a_motor_stands_when_the_table_has_another_pin_for_it(

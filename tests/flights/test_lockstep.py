@@ -69,7 +69,7 @@ def test_the_toolchains_interpreter_flies_the_compiled_policys_bits_when_behind_
         policy.action_count,
         idle=policy.idle,
         mix=policy.mix,
-        gyro_mean=policy.gyro_mean,
+        gyro_filters=policy.gyro_filters,
     )
     scenario = TOUCHED if standing else Scenario("busy", BUSY.segments[2:6])
     firmware = ReferencePort(reference_library, settings={"ground_detection": int(standing)})

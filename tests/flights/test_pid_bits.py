@@ -78,7 +78,7 @@ def test_compares_controller_gives_the_values_that_the_firmware_sent(
 @SUPPLIES
 def test_pythons_control_path_flies_the_firmwares_flight(reference_library: Path, full: float | None) -> None:
     python = ControllerPort(
-        PID.build(1), 4, GYRO_HZ, PID.control_rate_hz, PID.idle, mix=PID.mix, gyro_mean=PID.gyro_mean
+        PID.build(1), 4, GYRO_HZ, PID.control_rate_hz, PID.idle, mix=PID.mix, gyro_filters=PID.gyro_filters
     )
     flown = flight(ReferencePort(reference_library, GYRO_HZ, CELLS), Mount.CENTRE, full, noise=True)
     assert flight(python, Mount.CENTRE, full, noise=True).same(flown)
@@ -105,7 +105,7 @@ def test_an_evaluation_flies_the_firmwares_flight(
         throttle=firmware.throttle[None],
         idle=PID.idle,
         mix=PID.mix,
-        gyro_mean=PID.gyro_mean,
+        gyro_filters=PID.gyro_filters,
         charge=charge,
     )
     assert evaluated.motors is not None

@@ -7,11 +7,11 @@ else that collides the less important part is left alone, and told: the board fl
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 from neuroflight.toolchain.boards.facts import Board, Bus, Chip, GyroPlace, Pin, Uart
-from neuroflight.toolchain.boards.gyro_kinds import NOT_FLOWN, with_kin
+from neuroflight.toolchain.boards.gyro_kinds import with_kin
 from neuroflight.toolchain.boards.processor import (
     ADC_CHANNELS,
     FUNCTIONS,
@@ -48,7 +48,7 @@ class Allocation:
     msp: int | None
     second: int | None
     log: bool
-    gyros: tuple[GyroPlace, ...]
+    gyros: tuple[GyroPlace, ...]  # a second one on SPI 0 is held deselected, no more
     log_chip: Chip | None  # where `log` is false its chip select is held high, no more
     motors: tuple[Pin, ...]
     ports: tuple[MotorPort, ...]
@@ -71,6 +71,7 @@ class _Roles:
     log: bool
     motors: int
     second: int | None
+    second_gyro: bool
 
 
 def allocate(board: Board, receiver: int | None = None) -> Allocation:
@@ -85,19 +86,19 @@ def allocate(board: Board, receiver: int | None = None) -> Allocation:
     if faults:
         raise WiringError(f"{board.name}: " + "; ".join(dict.fromkeys(faults)))
     receivers = _receivers(board, claims, receiver)
-    log = _log_fault(board, claims)
+    log, second_gyro = _log_fault(board, claims), _second_gyro_fault(board, claims)
     # The gyro, the first motors and one receiver alone find streams on every board.
     roles, (ports, streams) = next(
         (roles, served)
-        for roles in _choices(board, claims, receivers, log is None)
+        for roles in _choices(board, claims, receivers, log is None, second_gyro is None)
         if (served := _fitted(board, claims, roles)) is not None
     )
     _claim_roles(board, claims, roles)
-    left = [*_without(board, claims, roles, streams, log)]
+    left = [*_without(board, claims, roles, streams, log, second_gyro)]
     gyro, *further = board.gyros
     rest: dict[str, Pin | None] = {}
     for part, pin in (
-        ("second gyro", further[0].select if further else None),
+        ("second gyro's chip select", further[0].select if further and not roles.second_gyro else None),
         ("log's chip", board.log_chip.select if board.log_chip and not roles.log else None),
         *(("battery voltage", board.volts), ("battery current", board.amps)),
         *(("OSD", board.osd.select if board.osd else None), ("beeper", board.beeper), ("LED", board.led)),
@@ -109,12 +110,11 @@ def allocate(board: Board, receiver: int | None = None) -> Allocation:
         if pin is not None and not why:
             claims[pin] = part
     kinds = with_kin(board.gyro_kinds)
-    left += [f"gyro {kind}: not flown" for kind in kinds if kind in NOT_FLOWN]
-    if board.turned:
-        left.append(
-            f"the turn of the board that its maker sets ({board.turned}): set board_roll_deg, "
-            "board_pitch_deg and board_yaw_deg, then gyro_alignment; it does not arm before"
-        )
+    if gyro.ready is None:
+        left.append("data-ready line of the gyro: not told, so it is read at a timer's beat")
+    if not roles.second_gyro:  # on a bus that is driven, or not: it must not speak there
+        held = rest["second gyro's chip select"] is not None
+        further = [replace(place, spi=0, ready=None) for place in further if held]
     return Allocation(
         board=board,
         gyro_kinds=kinds,
@@ -122,7 +122,7 @@ def allocate(board: Board, receiver: int | None = None) -> Allocation:
         msp=roles.msp,
         second=roles.second,
         log=roles.log,
-        gyros=(gyro, *further[:1]) if rest["second gyro"] else (gyro,),
+        gyros=(gyro, *further[:1]),
         log_chip=board.log_chip if roles.log or rest["log's chip"] else None,
         motors=board.motors[: roles.motors],
         ports=ports,
@@ -157,11 +157,7 @@ def _gyro_faults(board: Board) -> Iterator[str]:
     if not kinds:
         told = ", ".join(board.gyro_kinds) or "none"
         yield f"its gyro is not one that the firmware knows: {told}"
-    elif all(kind in NOT_FLOWN for kind in kinds):
-        yield f"its gyro is not flown, {kinds[0]}: {NOT_FLOWN[kinds[0]]}"
     gyro = board.gyros[0]
-    if gyro.ready is None:
-        yield "the data-ready line of its gyro is not told, and the control loop runs by it"
     if (bus := board.buses.get(gyro.spi)) is None:
         yield f"its gyro is on SPI{gyro.spi}, whose pins are not told"
     else:
@@ -252,21 +248,25 @@ def _first(numbers: Iterable[int], *preferred: int | None) -> list[int]:
 
 
 def _choices(
-    board: Board, claims: Mapping[Pin, str], receivers: Sequence[int], log: bool
+    board: Board, claims: Mapping[Pin, str], receivers: Sequence[int], log: bool, second_gyro: bool
 ) -> Iterator[_Roles]:
-    """Yield ways to serve all, the best first: what is given up first is the second serial port."""
+    """Yield ways to serve all, the best first: what is given up first is the second gyro, then a UART."""
     lines = [n for n in board.uarts if _has(board, claims, n, "TX", "RX")]
     motors = min(len(board.motors), MOTOR_COUNT_MAX)
     fewest = min(motors, MOTORS_NEEDED)
-    for receiver, msp, with_log, count, second in product(
+    for receiver, with_msp, with_log, count, msp, second, gyro in product(
         receivers,
-        [*_first(lines, MSP_USUAL), None],
+        [True, False],
         [True, False] if log else [False],
         range(motors, fewest - 1, -1),
+        [*_first(lines, MSP_USUAL), None],
         [*_first(lines, SECOND_USUAL), None],
+        [True, False] if second_gyro else [False],
     ):
-        if len({receiver, msp, second, None}) == 2 + (msp is not None) + (second is not None):
-            yield _Roles(receiver, msp, with_log, count, second)
+        if with_msp == (msp is not None) and len({receiver, msp, second, None}) == 2 + (msp is not None) + (
+            second is not None
+        ):
+            yield _Roles(receiver, msp, with_log, count, second, gyro)
 
 
 def _log_fault(board: Board, claims: Mapping[Pin, str]) -> str | None:
@@ -282,6 +282,23 @@ def _log_fault(board: Board, claims: Mapping[Pin, str]) -> str | None:
     for fault in _bus_faults(chip.spi, bus):
         return f"log: {fault}"
     return next(_claim(dict(claims), "log", (bus.sck, bus.miso, bus.mosi, chip.select)), None)
+
+
+def _second_gyro_fault(board: Board, claims: Mapping[Pin, str]) -> str | None:
+    """Return why a second gyro cannot be used whatever else is; None: it may, or there is none."""
+    if not board.gyros[1:]:
+        return "second gyro: there is none"
+    gyro, place = board.gyros[:2]
+    if place.spi == 0:
+        return "second gyro: its SPI is not told"
+    pins = [pin for pin in (place.select, place.ready) if pin is not None]
+    if place.spi != gyro.spi:
+        if (bus := board.buses.get(place.spi)) is None:
+            return f"second gyro: it is on SPI{place.spi}, whose pins are not told"
+        for fault in _bus_faults(place.spi, bus):
+            return f"second gyro: {fault}"
+        pins += [bus.sck, bus.miso, bus.mosi]
+    return next(_claim(dict(claims), "second gyro", pins), None)
 
 
 def _fitted(
@@ -301,6 +318,10 @@ def _fitted(
         requests.append("ADC1")
     if roles.log and board.log_chip is not None:
         requests += [f"SPI{board.log_chip.spi}_RX", f"SPI{board.log_chip.spi}_TX"]
+    if roles.second_gyro and (further := board.gyros[1].spi) != spi:
+        if roles.log and board.log_chip is not None and board.log_chip.spi == further:
+            return None
+        requests += [f"SPI{further}_RX", f"SPI{further}_TX"]
     for line in (roles.msp, roles.second):
         requests += [f"UART{line}_RX", f"UART{line}_TX"] if line is not None else []
     for channels in _channels(len(ports)):
@@ -323,6 +344,12 @@ def _claim_roles(board: Board, claims: _Claims, roles: _Roles) -> list[str]:
     if roles.log and (chip := board.log_chip) is not None:
         bus = board.buses[chip.spi]
         faults += _claim(claims, "log", (bus.sck, bus.miso, bus.mosi, chip.select))
+    if roles.second_gyro:
+        place = board.gyros[1]
+        shared = place.spi == board.gyros[0].spi
+        bus_pins = () if shared else tuple(vars(board.buses[place.spi]).values())
+        pins = (place.select, place.ready, *bus_pins)
+        faults += _claim(claims, "second gyro", [pin for pin in pins if pin is not None])
     return faults
 
 
@@ -356,7 +383,12 @@ def _streams(
 
 
 def _without(
-    board: Board, claims: Mapping[Pin, str], roles: _Roles, streams: Mapping[str, Stream], log: str | None
+    board: Board,
+    claims: Mapping[Pin, str],
+    roles: _Roles,
+    streams: Mapping[str, Stream],
+    log: str | None,
+    second_gyro: str | None,
 ) -> Iterator[str]:
     """Yield what these roles leave out of what the board has and why, a line each."""
     if board.receiver is not None and board.receiver != roles.receiver:
@@ -369,6 +401,14 @@ def _without(
     if not roles.log:
         chip = board.log_chip
         yield log or f"log: {_blocked(streams, f'SPI{chip.spi}') if chip else ''}"
+    if board.gyros[1:] and not roles.second_gyro:
+        chip, bus = board.log_chip, board.gyros[1].spi
+        shares = chip is not None and roles.log and chip.spi == bus
+        yield second_gyro or (
+            f"second gyro: it shares SPI{bus} with the log"
+            if shares
+            else f"second gyro: {_blocked(streams, f'SPI{bus}')}"
+        )
     if roles.motors < len(board.motors):
         pin = board.motors[roles.motors]
         why_not = _unusable(claims, f"motor {roles.motors + 1}", pin)

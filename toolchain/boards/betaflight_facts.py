@@ -39,6 +39,12 @@ class Facts:
     gyro_kinds: set[str] = field(default_factory=set)
     flash_kinds: set[str] = field(default_factory=set)
     has_card: bool = False
+    is_source: bool = False  # a config.h
+
+    @property
+    def by_maker(self) -> bool:
+        """The word that the file is its maker's, not what a pilot's board told: that names no driver."""
+        return self.is_source or bool(self.gyro_kinds)
 
     def error(self, key: str, words: str) -> WiringError:
         """Return the error about what was told of `key`."""
@@ -113,7 +119,8 @@ def read_facts(path: Path) -> Facts:
             break
     facts = Facts(path)
     lines = list(enumerate(re.split(r"\r\n|\n|\r", text), start=1))
-    (_header if _SIGN.search(text) else _dump)(facts, lines)
+    facts.is_source = _SIGN.search(text) is not None
+    (_header if facts.is_source else _dump)(facts, lines)
     if not any(key.startswith("MOTOR") for key in facts.told):
         raise WiringError(f"{path}: it tells no motor's pin{mend}")
     return facts

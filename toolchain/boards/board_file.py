@@ -10,6 +10,9 @@
     ready = "PC4"
     alignment = "CW180_DEG_FLIP"
 
+    [turn] # of the whole board, so that its arrow points forward; board_yaw_deg and its kin come on top
+    yaw_deg = -45
+
     [spi.1]
     sck = "PA5"
     ...
@@ -24,7 +27,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TypeVar
 
-from neuroflight.toolchain.boards.facts import Board, Bus, Chip, GyroPlace, Pin, Uart
+from neuroflight.toolchain.boards.facts import NOT_TURNED, Board, Bus, Chip, GyroPlace, Pin, Turn, Uart
 from neuroflight.toolchain.boards.table import DIVIDER_USUAL, find_board
 from neuroflight.toolchain.contract import (
     BOARD_GYRO_COUNT,
@@ -43,9 +46,9 @@ BESIDE = "board.toml"  # that a build writes beside its image
 FILE_BYTES_MAX = 64 << 10
 SCALE_MAX = 0xFFFF
 UART_COUNT = 6
+AXES = ("roll", "pitch", "yaw")
 NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_-]{{0,{BOARD_NAME_BYTES - 2}}}")
 WORD = re.compile(r"[A-Z0-9]{1,20}")  # that names a chip
-TURNED = re.compile(r"(?:(?:roll|pitch|yaw) -?[0-9]{1,3}(?:, |$)){1,3}")
 WORDS_MAX = 20
 _Value = TypeVar("_Value")
 _ALIGNMENTS = {
@@ -82,11 +85,9 @@ def board_text(board: Board, because: Iterable[str] = ()) -> str:
     return "\n".join([*(f"# {line}".rstrip() for line in because), *_lines(board)]) + "\n"
 
 
-def check_turned(turned: str) -> str:
-    """Return the turn of a whole board if it can be one. Raises ValueError, one line."""
-    if turned and TURNED.fullmatch(turned) is None:
-        raise ValueError(f"turned {turned[:60]!r}, expected degrees of axes, as roll 180, yaw 90")
-    return turned
+def alignment_name(alignment: int) -> str:
+    """Return an alignment in the ecosystem's words: CW90_DEG_FLIP."""
+    return next(name for name, code in _ALIGNMENTS.items() if code == alignment)
 
 
 def check_name(name: str) -> str:
@@ -133,7 +134,7 @@ def _board(table: StrictTable) -> Board:
         amps=battery[1],
         volts_scale=battery[2],
         amps_scale=battery[3],
-        turned=_checked(table, "turned", check_turned, ""),
+        turn_deg=table.optional_part("turn", _turn) or NOT_TURNED,
     )
 
 
@@ -183,13 +184,19 @@ def _numbered(
     return table.optional_part(key, parts) or {}
 
 
+def _turn(table: StrictTable) -> Turn:
+    roll, pitch, yaw = (table.integer(f"{axis}_deg", -180, 180, 0) for axis in AXES)
+    return roll, pitch, yaw
+
+
 def _spi(table: StrictTable) -> int:
     return table.integer("spi", 1, BOARD_SPI_COUNT)
 
 
 def _gyro(table: StrictTable) -> GyroPlace:
     alignment = table.choice("alignment", _ALIGNMENTS, "CW0_DEG")
-    return GyroPlace(_spi(table), _pin(table, "select"), _pin_or_none(table, "ready"), alignment)
+    spi = table.integer("spi", 0, BOARD_SPI_COUNT)
+    return GyroPlace(spi, _pin(table, "select"), _pin_or_none(table, "ready"), alignment)
 
 
 def _chip(table: StrictTable) -> Chip:
@@ -230,16 +237,17 @@ def _lines(board: Board) -> Iterator[str]:
     yield f"motors = {_list(board.motors)}"
     if board.receiver is not None:
         yield f"receiver = {board.receiver} # its UART"
-    if board.turned:
-        yield f'turned = "{board.turned}" # the whole board, by its maker'
     if board.usb_supply is not None:
         yield f'usb_supply = "{board.usb_supply}"'
     for gyro in board.gyros:
         ready = {"ready": gyro.ready} if gyro.ready else {}
-        alignment = next(name for name, code in _ALIGNMENTS.items() if code == gyro.alignment)
+        alignment = alignment_name(gyro.alignment)
         yield from _table(
             "[gyro]", {"spi": gyro.spi, "select": gyro.select} | ready | {"alignment": alignment}
         )
+    if board.turn_deg != NOT_TURNED:
+        turned = zip(AXES, board.turn_deg, strict=True)
+        yield from _table("turn", {f"{axis}_deg": degrees for axis, degrees in turned if degrees})
     for number, bus in board.buses.items():
         yield from _table(f"spi.{number}", {"sck": bus.sck, "miso": bus.miso, "mosi": bus.mosi})
     for number, uart in board.uarts.items():

@@ -11,6 +11,7 @@ from typing import Any
 
 from neuroflight.toolchain.boards.allocation import Allocation, bus_functions, uart_function
 from neuroflight.toolchain.boards.facts import Bus, Chip, GyroPlace, Pin, Uart
+from neuroflight.toolchain.boards.gyro_kinds import with_known_turn
 from neuroflight.toolchain.boards.processor import Stream
 from neuroflight.toolchain.contract import (
     BOARD_FORMAT,
@@ -46,8 +47,7 @@ def pack(allocation: Allocation) -> bytes:
         "bytes": BOARD_BYTES,
         "name": board.name,
         "maker": board.maker,
-        # Where the maker turns the board, no chip's turn is taken for granted: the pilot tells it first.
-        "gyro_kinds": 0 if board.turned else sum(1 << GyroChip[kind] for kind in allocation.gyro_kinds),
+        "gyro_kinds": sum(1 << GyroChip[kind] for kind in with_known_turn(allocation.gyro_kinds)),
         "gyros": _filled([_gyro(place) for place in allocation.gyros], BOARD_GYRO_COUNT, _NO_CHIP),
         "log_chip": _chip(allocation.log_chip),
         "osd": _chip(allocation.osd),
@@ -77,6 +77,7 @@ def pack(allocation: Allocation) -> bytes:
         "adc_dma": _dma(streams, "ADC1"),
         "volts_scale": board.volts_scale,
         "amps_scale": board.amps_scale,
+        "turn_deg": list(board.turn_deg),
     }
     return _encoded(BOARD_STRUCTS["board"], values)
 
@@ -95,16 +96,15 @@ def unpack(data: bytes) -> dict[str, Any]:
     return values
 
 
-def described_receiver(bank: bytes) -> int | None:
-    """Return the UART at which an image listens to a receiver; None: it tells none.
+def described(bank: bytes) -> dict[str, Any] | None:
+    """Return the description in an image; None: it has none.
 
     bank: content of flash from the bank's begin on.
     """
     try:
-        told = unpack(bank[IMAGE_TABLE_OFFSET : IMAGE_TABLE_OFFSET + BOARD_BYTES])
+        return unpack(bank[IMAGE_TABLE_OFFSET : IMAGE_TABLE_OFFSET + BOARD_BYTES])
     except WiringError:
         return None
-    return told["receiver"]["number"] or None
 
 
 def _pin(pin: Pin | None) -> int:

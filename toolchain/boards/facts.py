@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 from neuroflight.toolchain.contract import BoardLog
 
+Turn = tuple[int, int, int]  # roll, pitch, yaw [deg], -180 to 180, in the sense of Betaflight's align_board_*
+NOT_TURNED: Turn = (0, 0, 0)
 _PIN = re.compile(r"P?([A-H])([0-9]{1,2})")
 
 
@@ -60,7 +62,7 @@ class Uart:
 class GyroPlace:
     """The place of a gyro chip."""
 
-    spi: int  # 1 to 3
+    spi: int  # 1 to 3; 0: not told, so that it can only be held deselected
     select: Pin
     ready: Pin | None  # its data-ready line; None: not told
     alignment: int  # quarter turns clockwise seen from above, and 4 for a chip on the underside
@@ -81,7 +83,7 @@ class Board:
     name: str
     maker: str  # four letters
     gyro_kinds: tuple[str, ...]  # chips that boards of this name carry, in the ecosystem's words: MPU6000
-    gyros: tuple[GyroPlace, ...]
+    gyros: tuple[GyroPlace, ...]  # that first which its maker has in use
     buses: dict[int, Bus]
     uarts: dict[int, Uart]
     receiver: int | None  # UART that its maker wires the receiver to
@@ -99,6 +101,4 @@ class Board:
     amps: Pin | None
     volts_scale: int  # [0.1], volts at the pack for one at the pin
     amps_scale: int  # [0.1 mV/A]
-    turned: str = (
-        ""  # Betaflight's align_board_* that its maker sets beside the gyro's turn: roll 180, yaw 90
-    )
+    turn_deg: Turn = NOT_TURNED  # of the whole board, by its maker

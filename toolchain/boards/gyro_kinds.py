@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from neuroflight.toolchain.contract import GYROS_NOT_FLOWN, GyroChip
+from neuroflight.toolchain.contract import GYRO_FILES, GyroChip
 
-NOT_FLOWN = {chip.name: why for chip, why in GYROS_NOT_FLOWN.items()}
+FILES = {chip.name: file for chip, file in GYRO_FILES.items()}  # that some measure only with
 # Drivers of Betaflight's, which a configuration names, and what makers fit because these take it as well.
 _KIN = {
     "MPU6500": {"MPU9250", "ICM20601", "ICM20602", "ICM20608G"},
@@ -24,6 +24,15 @@ def with_kin(told: Iterable[str]) -> tuple[str, ...]:
         if driver in named and named.isdisjoint(kin):
             named |= kin
     return tuple(chip.name for chip in GyroChip if chip.name in named)
+
+
+def with_known_turn(kinds: Sequence[str]) -> tuple[str, ...]:
+    """Return those of a board's chips for which the turn that its configuration tells is theirs.
+
+    A BMI270's axes lie a quarter turn from its neighbours' on the same pads, and configurations with both
+    tell one turn: whose it is, nobody says (Betaflight turns the BMI270 of some boards by itself).
+    """
+    return tuple(kind for kind in kinds if kind != GyroChip.BMI270.name or len(kinds) == 1)
 
 
 def check_kinds(kinds: Sequence[str]) -> tuple[str, ...]:

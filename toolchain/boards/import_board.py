@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from neuroflight.toolchain.boards.betaflight_facts import PROCESSORS, SHOWN, Facts, read_facts
-from neuroflight.toolchain.boards.board_file import SCALE_MAX, UART_COUNT, WORD, check_maker, check_name
-from neuroflight.toolchain.boards.facts import Board, Bus, Chip, GyroPlace, Pin, Uart
+from neuroflight.toolchain.boards.board_file import AXES, SCALE_MAX, UART_COUNT, WORD, check_maker, check_name
+from neuroflight.toolchain.boards.facts import NOT_TURNED, Board, Bus, Chip, GyroPlace, Pin, Turn, Uart
 from neuroflight.toolchain.boards.table import DIVIDER_USUAL, alignment_code, boards
 from neuroflight.toolchain.contract import (
     BOARD_GYRO_COUNT,
@@ -62,13 +62,21 @@ def import_board(path: Path, name: str | None = None, gyros: Sequence[str] = ())
             f"{path}: its gyro is told to be {told[:SHOWN]}, which the firmware does not know; name its chip "
             "with --gyro: the command `status` of Betaflight tells it"
         )
-    if turned := _turned(facts):
+    turn = _turn(facts)
+    if not facts.by_maker:
+        own = NOT_TURNED if known is None else known.turn_deg
+        if turn not in (own, NOT_TURNED):
+            notes.append(
+                f"{turn_words(turn)} is the pilot's or the maker's, and the file does not tell whose: it is "
+                "not taken over; `neuroflight board settings import` brings it"
+            )
+        turn = own
+    elif turn != NOT_TURNED:
         notes.append(
-            f"its maker turns the board, {turned} degrees: set the same with "
-            "`neuroflight board settings set`, or `board settings import` of a diff, and then "
-            "gyro_alignment; it does not arm before"
+            f"{turn_words(turn)} is its maker's, so that its arrow points forward: board_yaw_deg and its kin "
+            "come on top, and stay 0 where you mount it like that"
         )
-    return Imported(_board(facts, called, kinds), tuple(notes))
+    return Imported(_board(facts, called, kinds, turn), tuple(notes))
 
 
 def differences(one: Board, other: Board) -> list[str]:
@@ -76,23 +84,26 @@ def differences(one: Board, other: Board) -> list[str]:
     return [name for name in Board.__dataclass_fields__ if getattr(one, name) != getattr(other, name)]
 
 
-def _turned(facts: Facts) -> str:
-    """Return how Betaflight has the whole board turned: yaw -45; "": it has not."""
-    turns = {
-        axis: _read(facts, f"board_{axis}", _degrees)
-        for axis in ("roll", "pitch", "yaw")
-        if f"board_{axis}" in facts.told
-    }
-    return ", ".join(f"{axis} {turn}" for axis, turn in turns.items() if turn)
+def turn_words(turn: Turn) -> str:
+    """Return the turn of a whole board in words: a turn of the board by roll 180, yaw 90 deg."""
+    told = ", ".join(f"{axis} {degrees}" for axis, degrees in zip(AXES, turn, strict=True) if degrees)
+    return f"a turn of the board by {told} deg"
+
+
+def _turn(facts: Facts) -> Turn:
+    roll, pitch, yaw = (
+        _read(facts, f"board_{axis}", _degrees) if f"board_{axis}" in facts.told else 0 for axis in AXES
+    )
+    return roll, pitch, yaw
 
 
 def _degrees(text: str) -> int:
-    if re.fullmatch(r"-?[0-9]{1,3}", text) is None:
+    if re.fullmatch(r"-?[0-9]{1,3}", text) is None or not -180 <= int(text) <= 360:
         raise ValueError(f"got {text[:SHOWN]!r}, expected whole degrees, -180 to 360")
-    return int(text)
+    return int(text) - 360 * (int(text) > 180)
 
 
-def _board(facts: Facts, name: str, kinds: tuple[str, ...]) -> Board:
+def _board(facts: Facts, name: str, kinds: tuple[str, ...], turn: Turn) -> Board:
     log_kind, log_chip = _log(facts)
     led, beeper = _pin(facts, "LED 1"), _pin(facts, "BEEPER 1")
     numbers = range(1, UART_COUNT + 1)
@@ -122,7 +133,7 @@ def _board(facts: Facts, name: str, kinds: tuple[str, ...]) -> Board:
         amps=_pin(facts, "AMPS 1"),
         volts_scale=_scale(facts, "volts_scale", DIVIDER_USUAL),
         amps_scale=_scale(facts, "amps_scale", AMPS_USUAL),
-        turned=_turned(facts),
+        turn_deg=turn,
     )
 
 
@@ -179,12 +190,14 @@ def _chip(facts: Facts, spi: str, select: str) -> Chip | None:
 
 def _gyros(facts: Facts) -> tuple[GyroPlace, ...]:
     """Return the places of gyros, that first which Betaflight uses."""
-    places = []
+    places: list[GyroPlace] = []
     for number in range(1, BOARD_GYRO_COUNT + 1):
-        if (chip := _chip(facts, f"gyro_spi {number}", f"GYRO_CS {number}")) is not None:
+        spi, select = f"gyro_spi {number}", _pin(facts, f"GYRO_CS {number}")
+        at = _read(facts, spi, _spi) if spi in facts.told else None
+        if select is not None and (at is not None or places):  # without an SPI it is held deselected
             align = f"gyro_align {number}"
             turned = _read(facts, align, _alignment) if align in facts.told else 0
-            places.append(GyroPlace(chip.spi, chip.select, _pin(facts, f"GYRO_EXTI {number}"), turned))
+            places.append(GyroPlace(at or 0, select, _pin(facts, f"GYRO_EXTI {number}"), turned))
     used = facts.told["gyro_used"].text.upper() if "gyro_used" in facts.told else ""
     second = used in ("SECOND", "2", "GYRO_CONFIG_USE_GYRO_2", "GYRO_MASK(1)")
     return tuple(reversed(places) if second and len(places) > 1 else places)

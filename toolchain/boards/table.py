@@ -1,8 +1,14 @@
 """The boards with an STM32F722 that public configurations name: boards.csv, a row for each.
 
-Its wiring is that of the configurations which makers have published for Betaflight, as of August 2026. All
-have a crystal of 8 MHz. Of a second gyro it tells the chip select alone; and what a configuration calls by a
-name of its own instead of a pin's is not told. MATEKF722's gyros are those whose turn no source disputes.
+Its wiring is that of the configurations which makers have published for Betaflight, as of August 2026
+(github.com/betaflight/config, commit 5af0c8b0). All have a crystal of 8 MHz. `import_board` reads 177 of
+those files as the rows that stand here; the others: MATEKF722's gyros are those whose turn no source
+disputes, CYCLONEF722_PRO's third flash chip stands behind a condition, and NUCLEOF722, a board of the
+processor's maker, has a gyro on I2C alone.
+
+gyro_used is 2 where Betaflight uses the second gyro unless told otherwise. turn_deg is what a configuration
+presets as align_board_roll, _pitch and _yaw; FLYCOLORF7_AIO_HD and SUB250REDFOXF722AIO say it by a word that
+Betaflight does not read, and their older configurations (github.com/betaflight/unified-targets) agree.
 """
 
 from __future__ import annotations
@@ -14,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
-from neuroflight.toolchain.boards.facts import Board, Bus, Chip, GyroPlace, Pin, Uart
+from neuroflight.toolchain.boards.facts import NOT_TURNED, Board, Bus, Chip, GyroPlace, Pin, Turn, Uart
 from neuroflight.toolchain.contract import BoardLog
 from neuroflight.toolchain.errors import WiringError
 
@@ -67,7 +73,11 @@ def _board(row: Mapping[str, str]) -> Board:
         ready = _given(row["gyro_exti"], Pin.of)
         gyros = (GyroPlace(gyro_spi, select, ready, alignment_code(row["gyro_align"] or "CW0_DEG")),)
         if row["gyro2_cs"]:
-            gyros += (GyroPlace(gyro_spi, Pin.of(row["gyro2_cs"]), None, 0),)
+            spi, ready = _given(row["gyro2_spi"], _spi), _given(row["gyro2_exti"], Pin.of)
+            turned = alignment_code(row["gyro2_align"] or "CW0_DEG")
+            gyros += (GyroPlace(spi or 0, Pin.of(row["gyro2_cs"]), ready, turned),)
+        if row["gyro_used"] == "2":
+            gyros = gyros[::-1]
     kind, _, flash = row["blackbox"].partition(":")
     log_kind, place = _LOGS[kind]
     log_chip = _chip(row, place) if place else None
@@ -96,12 +106,17 @@ def _board(row: Mapping[str, str]) -> Board:
         amps=_given(row["current"], Pin.of),
         volts_scale=int(row["vbat_scale"] or DIVIDER_USUAL),
         amps_scale=int(row["current_scale"] or 0),
-        turned=row["turned"],
+        turn_deg=_turn(row["turn_deg"]),
     )
 
 
 def _given(text: str, read: Callable[[str], _T]) -> _T | None:
     return read(text) if text else None
+
+
+def _turn(text: str) -> Turn:
+    roll, pitch, yaw = map(int, text.split("/")) if text else NOT_TURNED
+    return roll, pitch, yaw
 
 
 def _spi(text: str) -> int:

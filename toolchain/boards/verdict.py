@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from neuroflight.toolchain.boards.allocation import Allocation, allocate
 from neuroflight.toolchain.boards.facts import Board
-from neuroflight.toolchain.boards.gyro_kinds import NOT_FLOWN, with_kin
+from neuroflight.toolchain.boards.gyro_kinds import FILES, with_kin
 from neuroflight.toolchain.contract import BoardLog
 from neuroflight.toolchain.errors import WiringError
 
@@ -27,7 +27,12 @@ class Verdict:
     @property
     def gyros(self) -> tuple[str, ...]:
         """Chips that boards of this name may carry and that the firmware drives."""
-        return tuple(kind for kind in with_kin(self.board.gyro_kinds) if kind not in NOT_FLOWN)
+        return with_kin(self.board.gyro_kinds)
+
+    @property
+    def file(self) -> str:
+        """Name the file without which it is not built, as none of its chips measures; "": it is."""
+        return next(iter(FILES.values())) if self.gyros and FILES.keys() >= set(self.gyros) else ""
 
     @property
     def motors(self) -> int:

@@ -13,7 +13,7 @@ from neuroflight.toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
 from neuroflight.toolchain.contract.policy_format import HeaderField, struct_format
 
 BOARD_MAGIC = 0x4442464E  # "NFBD"
-BOARD_LAYOUT = 1
+BOARD_LAYOUT = 2
 BOARD_NAME_BYTES = 24  # the longest name of a public configuration has 23 letters
 BOARD_MAKER_BYTES = 8
 BOARD_NO_PIN = 0xFF  # pins are told as port << 4 | number, port A being 0
@@ -32,6 +32,7 @@ class BoardLog(IntEnum):
 
 _PIN = "port << 4 | number; 0xFF: none"
 _AF = "alternate function"
+_TURN = "roll, pitch, yaw as in board_roll_deg and its kin"
 _DMA = "0x100 controller + 0x10 stream + request channel; 0: none"
 _BUS_FIELDS = (  # one SPI; sck 0xFF: not wired
     *(
@@ -95,6 +96,8 @@ _BOARD_FIELDS = (
     HeaderField("uint16_t", "adc_dma", "", _DMA),
     HeaderField("uint16_t", "volts_scale", "0.1", "volts at the pack for one at the pin"),
     HeaderField("uint16_t", "amps_scale", "0.1 mV/A", "of the current sensor"),
+    HeaderField("int16_t", "turn_deg", "deg", "of the board by its maker: " + _TURN, 3),
+    HeaderField("uint16_t", "reserved", "", "0"),
 )
 BOARD_FORMAT = struct_format(_BOARD_FIELDS)
 BOARD_STRUCTS = {  # in C by these names

@@ -11,7 +11,7 @@ MOTOR_COUNT_MAX = 8
 MOTOR_PLACES = ("rear right", "front right", "rear left", "front left")  # of the motors of a quadcopter
 
 # --- Time ------------------------------------------------------------------------------------
-GYRO_EDGE_RATE_HZ = 8000  # data-ready of every chip that is flown, as it is set up
+GYRO_EDGE_RATE_HZ = 8000  # data-ready of every chip that is read by it, as it is set up
 GYRO_RATES_HZ = (1000, 2000, 4000, 8000)  # every 8th, 4th, 2nd or each edge is read
 GYRO_RATE_DEFAULT_HZ = 4000
 CONTROL_RATES_HZ = (1000, 2000, 4000)
@@ -40,9 +40,9 @@ class GyroChip(IntEnum):
 GYRO_IDENTITIES = (0x70, 0x98, 0x12, 0xAC, 0xAF, 0x71, 0x68, 0x47, 0x42, 0x24, 0x70, 0x75)
 # By chip: the ecosystem's numbers at MSP API 1.47, which left two chips out; 0: any.
 MSP_GYRO_HARDWARE = (5, 11, 8, 7, 9, 6, 4, 13, 12, 15, 17, 23)
-GYROS_NOT_FLOWN = {  # and why
-    GyroChip.BMI270: "it measures only after its maker's configuration file is in it, which is not here, "
-    "and at rates that no control rate divides"
+GYRO_FILE_BYTES = 328  # of the configuration that a BMI270 needs before it measures
+GYRO_FILES = {  # chips that measure only with their maker's file, which no firmware may bring along: its name
+    GyroChip.BMI270: "bmi270_maximum_fifo.c of github.com/boschsensortec/BMI270_SensorAPI"
 }
 
 

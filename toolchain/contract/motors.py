@@ -28,11 +28,16 @@ ESC_MANTISSA_BITS = 9
 ESC_PERIOD_MAX_US = 510 << 7  # of a rotor that turns; a slower one is told to stand
 MOTOR_POLES_DEFAULT = 14  # magnets of a motor's bell
 # A word beyond physics is noise that looks like an answer. No propeller turns faster, and none gains or loses
-# speed faster: the quickest of our twins does a fifth of that. The word's own step comes on top.
+# speed faster: the quickest of our twins does a fifth of that. Beyond what rotors do in flight a word counts
+# only once the next one agrees. The word's own step comes on top.
 ROTOR_SPEED_MAX = 10_000.0  # [rad/s]
 ROTOR_ACCELERATION_MAX = 250_000.0  # [rad/s^2]
+ROTOR_ACCELERATION_USUAL = 100_000.0  # [rad/s^2]
 ROTOR_HOLD_MS = 8  # without a good word the last speed holds so long; then the ESC counts as silent
 
+# Notches at the rotors' turns (rpm_filter.c): whole so far above their lowest centre; the highest one.
+RPM_FILTER_FADE_HZ = 50.0
+RPM_FILTER_HIGHEST = 0.45  # of the gyro rate
 
 DYNAMIC_IDLE_MAX = 0.1  # output that a dynamic idle adds at most: it lifts no aircraft
 # A motor is weak that gives less than this share of the speed that the best one gives for its output, both
@@ -42,7 +47,10 @@ WEAK_MOTOR_SHARE, WEAK_MOTOR_MS, WEAK_MOTOR_FILTER_MS = 0.5, 300, 100
 
 
 class EscTold(IntEnum):
-    """Other words of ESCs, extended telemetry: a byte of each kind. Their upper bits are 2 (kind + 1), 0."""
+    """Other words of ESCs, extended telemetry: a byte of each kind. Their upper bits are 2 (kind + 1), 0.
+
+    They come once EXTENDED_TELEMETRY was commanded, the first one is a STATE.
+    """
 
     TEMPERATURE = 0  # degC
     VOLTAGE = 1  # 0.25 V
@@ -65,6 +73,7 @@ class DshotCommand(IntEnum):
     DIRECTION_1 = 7  # as the motor is wired
     DIRECTION_2 = 8
     SAVE = 12  # stores the last direction
+    EXTENDED_TELEMETRY = 13  # answers are now and then a word of EscTold
     DIRECTION_NORMAL = 20  # as the controller is set up
     DIRECTION_REVERSED = 21
 

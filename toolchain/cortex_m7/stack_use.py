@@ -27,7 +27,12 @@ from neuroflight.toolchain.errors import BuildError
 EXCEPTION_BYTES = 108
 THREAD = "reset_handler"
 # From the least urgent level to the most: firmware/hal/stm32f7/core/core.h. `fault_handler` ends the program.
-LEVELS = (("gyro_sample_handler", "tick_handler"), ("gyro_edge_handler",), ("fault_handler",))
+LEVELS = (
+    ("gyro_sample_handler", "motors_answers_handler", "tick_handler"),
+    ("motors_moved_handler",),
+    ("gyro_edge_handler",),
+    ("fault_handler",),
+)
 
 
 def _in(file: str, *names: str) -> tuple[str, ...]:

@@ -19,19 +19,20 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from neuroflight.toolchain import contract
 from neuroflight.toolchain.boards.allocation import Allocation, allocate
 from neuroflight.toolchain.boards.board_file import BESIDE, board_text, named_board
-from neuroflight.toolchain.boards.description import pack
+from neuroflight.toolchain.boards.description import BOARD_BYTES, pack
+from neuroflight.toolchain.boards.gyro_kinds import FILES, with_kin
 from neuroflight.toolchain.codegen.compiler import CompiledPolicy, compile_policy
 from neuroflight.toolchain.cortex_m7.arm_policy import ArmPolicy
 from neuroflight.toolchain.cortex_m7.emulator import load_program
 from neuroflight.toolchain.cortex_m7.stack_use import StackError, StackUse, stack_use
 from neuroflight.toolchain.cortex_m7.timing import Cost, mixed_observations, step_cost
-from neuroflight.toolchain.errors import BuildError, PolicyError
+from neuroflight.toolchain.errors import BuildError, PolicyError, WiringError
 from neuroflight.toolchain.files import (
     locked,
     replacing,
@@ -60,7 +61,6 @@ from neuroflight.toolchain.rendering.pid_table import PidTable, render_pid_table
 BOARD_FAMILY = "STM32F722"
 BOARD_TABLE = "board.bin"  # what make stamps into the images of a board
 BOARD_MEMORY = (contract.ITCM, contract.DTCM, contract.SRAM1, contract.SRAM2, FLASH)
-MEAN = [contract.POLICY_FILTER_MEAN]  # the one gyro filter that a policy may bring
 NFI = "neuroflight.nfi"  # both banks' images, one behind the other
 OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
 PLAIN = re.compile(r"[\w./+@,-]+")  # a path that make takes for one word without a meaning of its own
@@ -79,6 +79,7 @@ class Target:
     packages: str  # the system's packages that bring the compiler
     products: tuple[str, ...]  # made by make; the first is the ELF that the report describes
     board: Allocation | None = None  # None: a program of this machine
+    gyro_file: bytes = b""  # a gyro chip's configuration for the image; empty: none
 
     @property
     def motors(self) -> int:
@@ -91,6 +92,15 @@ class Target:
         return self.board is not None
 
 
+def stamped_gyro_file(name: str, base: Path) -> bytes:
+    """Return the gyro chip's configuration that the target `name` was built with last; empty: none."""
+    if name == HOST.name:
+        return b""
+    table = base / named_board(name).name / "make" / BOARD_TABLE
+    kept = table.read_bytes()[BOARD_BYTES:] if table.is_file() else b""
+    return kept if len(kept) == contract.GYRO_FILE_BYTES else b""  # else an older layout's
+
+
 HOST = Target(
     name="HOST",
     family="HOST",
@@ -100,17 +110,34 @@ HOST = Target(
 )
 
 
-def find_target(name: str, receiver: int | None = None) -> Target:
+def find_target(name: str, receiver: int | None = None, gyro_file: bytes = b"") -> Target:
     """Return the target HOST, the board of that name, or the one that a TOML file of that name describes.
 
-    receiver: the UART that a receiver is wired to, where it is not the usual one. Raises WiringError, and
-    BuildError.
+    receiver: the UART that a receiver is wired to, where it is not the usual one. gyro_file: what
+    `read_gyro_file` has read; empty: nothing. Raises WiringError, and BuildError.
     """
     if name == HOST.name:
         if receiver is not None:
             raise BuildError(f"--receiver UART{receiver}: {HOST.name} has no UARTs; leave it out")
+        if gyro_file:
+            raise BuildError(f"--gyro-file: {HOST.name} has no gyro chip; leave it out")
         return HOST
     board = named_board(name)
+    allocation = allocate(board, receiver)
+    lacking = [] if gyro_file else [kind for kind in allocation.gyro_kinds if kind in FILES]
+    for kind in lacking:
+        if set(with_kin(board.gyro_kinds)) <= FILES.keys():
+            raise WiringError(
+                f"{board.name}: its gyro, a {kind}, measures only with its maker's configuration, which is "
+                f"not here: give --gyro-file FILE, {FILES[kind]}"
+            )
+        allocation = replace(
+            allocation,
+            left=(
+                *allocation.left,
+                f"gyro {kind}: flown with --gyro-file, {FILES[kind]}, and gyro_alignment set",
+            ),
+        )
     return Target(
         name=board.name,
         family=BOARD_FAMILY,
@@ -120,7 +147,8 @@ def find_target(name: str, receiver: int | None = None) -> Target:
             *("neuroflight.elf", "neuroflight.hex", "neuroflight.bin", "neuroflight.map"),
             *("neuroflight.dfu", "neuroflight-b.elf", NFI),
         ),
-        board=allocate(board, receiver),
+        board=allocation,
+        gyro_file=gyro_file,
     )
 
 
@@ -152,6 +180,7 @@ def build(
     aircraft: AircraftFacts | None = None,
     check: Stamp | None = None,
     receiver: int | None = None,
+    gyro_file: bytes = b"",
 ) -> BuildReport:
     """Build the target `name` around the policy file `policy` in the project at `root`, and write its report.
 
@@ -159,12 +188,13 @@ def build(
     aircraft: that the image is for, for the report.
     check: found the policy fit to fly, for the report; `flash` refuses an image without.
     receiver: the UART that one is wired to, where it is not the board's usual one.
+    gyro_file: what `read_gyro_file` has read, for a board with a gyro chip that needs it.
 
     Outputs go to root/build/<target>, objects to root/build/<family> and generated sources to
     root/firmware/generated/<family>, or all of them into `folder`, which leaves the user's images alone.
     Raises PolicyError or BuildError, one line, when something is missing or does not fit.
     """
-    target = find_target(name, receiver)
+    target = find_target(name, receiver, gyro_file)
     started = time.perf_counter()
     model = read_policy(policy)
     compiled = compile_policy(model)
@@ -234,11 +264,10 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
             f"the policy runs at {policy.control_rate_hz} Hz, "
             f"the firmware at {', '.join(map(str, rates))} Hz; train it at one of these rates"
         )
-    if policy.filters not in ((), (MEAN,)):
-        raise PolicyError(
-            f"the policy was trained behind the gyro filters {json.dumps(policy.filters)}, expected [] or "
-            f"{json.dumps([MEAN])}; train it behind one of these"
-        )
+    try:
+        policy.gyro_filters.check(policy.action_count, policy.control_rate_hz)
+    except ValueError as error:
+        raise PolicyError(f"the policy cannot be flown: {error}") from error
     check_memories(compiled.plan)
 
 
@@ -273,7 +302,7 @@ def run_make(target: Target, root: Path, out: Path, generated: Path, shared: Pat
     firmware = root / "firmware"
     folders = {"BUILD": out / "make", "GENERATED": generated, "OBJ": (shared or out) / "make" / "obj"}
     if target.board is not None:
-        write_bytes_if_changed(out / "make" / BOARD_TABLE, pack(target.board))
+        write_bytes_if_changed(out / "make" / BOARD_TABLE, pack(target.board) + target.gyro_file)
     with _named_for_make(folders, firmware) as names:
         command = ["make", "-C", str(firmware), f"-j{os.cpu_count() or 1}", f"TARGET={target.family}", *names]
         done = subprocess.run(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from neuroflight.toolchain.errors import BuildError, PolicyError
 from neuroflight.toolchain.files import file_size
 from neuroflight.toolchain.image.elf import MemoryUse, Section
 from neuroflight.toolchain.policy.check_stamp import Stamp, parse_stamp
+from neuroflight.toolchain.policy.gyro_filters import GyroFilters
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -185,6 +186,7 @@ class Built:
     pid_motors: MotorFacts | None  # None: no PID is built in
     pid: str | None = None  # its name in the aircraft's file
     receiver: int | None = None  # UART of the receiver, where the user named one
+    settings: Mapping[str, float] = field(default_factory=dict)  # without which the policy is refused
 
 
 def built(product: Path) -> Built:
@@ -212,6 +214,7 @@ def built(product: Path) -> Built:
             pid_motors=None if pid is None else MotorFacts(float(pid["idle"]), Mix.of(str(pid["mix"]))),
             pid=None if pid is None else str(pid["name"]),
             receiver=int(board["receiver"]) if board.get("receiver_told") is True else None,
+            settings=GyroFilters.of(policy.get("filters", [])).settings,
         )
     except OSError as error:
         raise BuildError(f"cannot read {path} ({error.strerror}); build {product.name} anew") from error
@@ -225,6 +228,17 @@ def built(product: Path) -> Built:
     if found.sha256 not in known:
         raise BuildError(f"{path} is the report of another build than {product.name}; build it anew")
     return found
+
+
+def needed_settings(product: Path) -> Mapping[str, float]:
+    """Return the settings without which the firmware refuses the policy inside `product`, a file of a build.
+
+    Empty if the report beside it does not tell.
+    """
+    try:
+        return built(product).settings
+    except BuildError:
+        return {}
 
 
 def _aircraft(table: Mapping[str, object]) -> AircraftFacts:
@@ -297,6 +311,9 @@ def print_report(report: BuildReport, console: Console) -> None:
     table.add_row("", "file", policy.file)
     table.add_row("", "sha256", f"{policy.sha256[:16]}… (whole in report.json)")
     table.add_row("", "aircraft", f"{policy.aircraft}, digest {policy.aircraft_sha256[:DIGEST_SHOWN]}")
+    if needed := GyroFilters.of(policy.filters).settings:
+        asked = " ".join(f"{name}={value:g}" for name, value in needed.items())
+        table.add_row("", "settings", f"{asked}; with others the board refuses it")
     table.add_row("", "check", UNCHECKED if report.check is None else report.check.text)
     if report.step_instructions is not None:
         table.add_row("", "a step", _step(report))

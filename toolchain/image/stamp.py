@@ -3,6 +3,7 @@
     python -m neuroflight.toolchain.image.stamp LINKED TABLE ELF
 
 TABLE is what `toolchain.boards.description` made of the board: the image gets it, and its boot part a copy.
+Behind it there may be a gyro chip's configuration (`toolchain.boards.gyro_file`), for the image alone.
 The header (toolchain/contract/image_format.py) gets the board's name, the bank that the image lies in, the
 number of its build and the CRC-32. The number is made of bank A's content and of the policy that comes with
 it in a slot, which gets it too; bank B's image takes it over with `--build-of`, so that all are known as one
@@ -21,10 +22,11 @@ from pathlib import Path
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 
-from neuroflight.toolchain.boards.description import unpack
+from neuroflight.toolchain.boards.description import BOARD_BYTES, unpack
 from neuroflight.toolchain.contract import (
     FLASH_BANKS,
     FLASH_POLICY_SLOTS,
+    GYRO_FILE_BYTES,
     IMAGE_BOARD_BYTES,
     IMAGE_BUILD_BYTES,
     IMAGE_TABLE_OFFSET,
@@ -34,9 +36,10 @@ from neuroflight.toolchain.contract import (
     image_field_offset,
     image_header,
 )
-from neuroflight.toolchain.errors import BuildError, NeuroflightError
+from neuroflight.toolchain.errors import BuildError, NeuroflightError, WiringError
 from neuroflight.toolchain.files import write_bytes
 
+GYRO_FILE_OFFSET = IMAGE_TABLE_OFFSET + (BOARD_BYTES + 7) // 8 * 8  # behind the description (image.ld)
 BOOT_TABLE = ".boot_board"  # the boot part's section for its copy of the description
 
 
@@ -52,9 +55,13 @@ class _Span:
 def stamp(linked: Path, table: bytes, out: Path, build_of: Path | None = None) -> None:
     """Write the ELF `linked` as the image of the board that `table` describes.
 
-    build_of: an ELF whose build's number is used. Raises BuildError if `linked` is no image for a bank, and
-    WiringError if `table` is no description.
+    table: the description, and behind it what the gyro chip needs, or nothing. build_of: an ELF whose build's
+    number is used. Raises BuildError if `linked` is no image for a bank, and WiringError if `table` is no
+    description.
     """
+    table, gyro_file = table[:BOARD_BYTES], table[BOARD_BYTES:]
+    if len(gyro_file) not in (0, GYRO_FILE_BYTES):
+        raise WiringError(f"{len(gyro_file)} bytes behind the description, expected 0 or {GYRO_FILE_BYTES}")
     board = unpack(table)["name"].encode()
     bank, spans = _bank_spans(linked)
     file = bytearray(linked.read_bytes())
@@ -65,6 +72,7 @@ def stamp(linked: Path, table: bytes, out: Path, build_of: Path | None = None) -
     _put(image, "bank", struct.pack("<B", bank))
     _put(image, "board", board.ljust(IMAGE_BOARD_BYTES, b"\0"))
     image[IMAGE_TABLE_OFFSET : IMAGE_TABLE_OFFSET + len(table)] = table
+    image[GYRO_FILE_OFFSET : GYRO_FILE_OFFSET + GYRO_FILE_BYTES] = gyro_file.ljust(GYRO_FILE_BYTES, b"\0")
     if (boot := _section(linked, BOOT_TABLE)) is not None:
         file[boot : boot + len(table)] = table
     if build_of is None:

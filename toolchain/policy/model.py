@@ -19,6 +19,7 @@ from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.files import file_size
 from neuroflight.toolchain.ir.network import Network
 from neuroflight.toolchain.policy.file_kind import foreign_kind
+from neuroflight.toolchain.policy.gyro_filters import GyroFilters
 from neuroflight.toolchain.policy.model_constants import ModelConstants
 
 if TYPE_CHECKING:
@@ -60,9 +61,14 @@ class PolicyModel:
         return self.network.outputs
 
     @property
-    def gyro_mean(self) -> bool:
-        """True if it observes the mean of the gyro's samples of a control period."""
-        return [contract.POLICY_FILTER_MEAN] in self.filters
+    def gyro_filters(self) -> GyroFilters:
+        """The chain of `filters`. Raises PolicyError, one line, on one that is not known here."""
+        try:
+            return GyroFilters.of(self.filters)
+        except ValueError as error:
+            raise PolicyError(
+                f"the policy was trained behind {error}; train it behind one of these"
+            ) from None
 
     @property
     def observation(self) -> str:

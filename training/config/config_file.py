@@ -164,11 +164,12 @@ def _check_record(reader: ConfigReader, record: dict[str, Any], config: Training
 
     The command chooses the aircraft; its name, hash and model in a record only say what was flown then.
     """
-    filters = record.get("filters", config.filters)
-    if filters != config.filters:
+    chain = config.gyro_filters.chain
+    filters = record.get("filters", chain)
+    if filters != chain:
         raise reader.error(
             "filters",
-            f"got {shown(filters)}, expected {shown(config.filters)}: gyro_filter is {config.gyro_filter}",
+            f"got {shown(filters)}, expected {shown(chain)}: gyro_filter is {config.gyro_filter}",
         )
     motors = record.get("motors", 1)
     if not isinstance(motors, int) or isinstance(motors, bool) or not 1 <= motors <= MOTOR_COUNT_MAX:

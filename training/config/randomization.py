@@ -13,6 +13,7 @@ from neuroflight.sim.physics.variation import Variation
 
 Range = tuple[float, float]
 SAME: Range = (1.0, 1.0)
+LIMITS: dict[str, Range] = {"delay_s": (0.0, 0.1), "charge": (0.0, 1.0), "vibration_deg_s": (0.0, 1000.0)}
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Randomization:
     noise: Range = SAME  # factor of the gyro's noise and bias
     delay_s: Range | None = None  # [s] from command to rotor; none: the aircraft's own
     charge: Range | None = None  # of the battery at the start, 0..1; none: the bench supply
+    # Of the gyro's worst axis, by one rotor at full speed; none: the aircraft's own.
+    vibration_deg_s: Range | None = None
 
     @property
     def active(self) -> bool:
@@ -38,7 +41,7 @@ class Randomization:
         """Yield errors of the ranges, one line each."""
         for field in fields(self):
             value: Range | None = getattr(self, field.name)
-            low_end, high_end = {"delay_s": (0.0, 0.1), "charge": (0.0, 1.0)}.get(field.name, (0.01, 100.0))
+            low_end, high_end = LIMITS.get(field.name, (0.01, 100.0))
             if value is not None and not low_end <= value[0] <= value[1] <= high_end:
                 yield (
                     f"randomization {field.name} {list(value)}, expected [least, greatest] "
@@ -53,17 +56,18 @@ class Randomization:
 
         delay = np.full(count, delay_s) if self.delay_s is None else rng.uniform(*self.delay_s, count)
         charge = np.full(count, np.nan) if self.charge is None else rng.uniform(*self.charge, count)
-        factors = ("mass", "inertia", "thrust", "torque", "speed", "lag", "noise")
-        return Variation(
-            **{name: factor(getattr(self, name)) for name in factors}, delay_s=delay, charge=charge
-        )
+        names = ("mass", "inertia", "thrust", "torque", "speed", "lag", "noise")
+        factors = {name: factor(getattr(self, name)) for name in names}
+        shaken = self.vibration_deg_s
+        vibration = np.full(count, np.nan) if shaken is None else np.deg2rad(rng.uniform(*shaken, count))
+        return Variation(**factors, delay_s=delay, charge=charge, vibration=vibration)
 
     def draw_near(self, count: int, rng: np.random.Generator, delay_s: float) -> Variation:
         """Draw `count` aircraft as `draw`, then bring each nearer to its file by a share of its own, 0..1.
 
         All deviations at their ends at once are rare then, as they are among real aircraft; a policy that
         must fly those corners as well as the middle flies the aircraft of the file by some percent worse.
-        The battery's charge, which every flight goes through, stays as drawn.
+        The battery's charge, which every flight goes through, stays as drawn, and so does the vibration.
         """
         drawn, alike = self.draw(count, rng, delay_s), Variation.nominal(count, delay_s)
         share = rng.random(count)
@@ -72,4 +76,4 @@ class Randomization:
             + share * (getattr(drawn, field.name) - getattr(alike, field.name))
             for field in fields(drawn)
         }
-        return Variation(**near | {"charge": drawn.charge})
+        return Variation(**near | {"charge": drawn.charge, "vibration": drawn.vibration})

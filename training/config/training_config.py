@@ -15,7 +15,6 @@ from neuroflight.sim.control.estimator import observed_model
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import (
     CONTROL_RATES_HZ,
-    POLICY_FILTER_MEAN,
     Mix,
     ObservationTerm,
     check_cutoffs,
@@ -23,6 +22,7 @@ from neuroflight.toolchain.contract import (
     observation_blocks,
 )
 from neuroflight.toolchain.errors import AircraftError, TrainingError
+from neuroflight.toolchain.policy.gyro_filters import GyroFilters
 from neuroflight.toolchain.policy.model_constants import ModelConstants
 from neuroflight.toolchain.strict_toml import shown
 from neuroflight.training.config.algorithms import ENDS_IN_TANH, Algorithm, PpoConfig
@@ -127,6 +127,8 @@ class WorldConfig:
             yield "gravity = true with mount 'centre', where it has no effect; expected mount 'rig' or 'free'"
         if self.randomization.noise != SAME and not self.noise:
             yield "randomization noise with noise = false, so nothing to vary; leave one of them out"
+        if self.randomization.vibration_deg_s is not None and not self.noise:
+            yield "randomization vibration_deg_s with noise = false, which leaves it out; give one of them"
         yield from self.randomization.errors()
 
 
@@ -148,8 +150,8 @@ class TrainingConfig:
     idle: Annotated[float, Limits(0.0, IDLE_MAX)] = 0.0
     # Of outputs and throttle; or "centred".
     mix: Annotated[str, OneOf([mix.text for mix in Mix])] = Mix.ATTITUDE_FIRST.text
-    # Or "mean": of the gyro's samples of a control period.
-    gyro_filter: Annotated[str, OneOf(("none", POLICY_FILTER_MEAN))] = "none"
+    # Or "mean", of the gyro's samples of a control period; "rpm,mean", behind notches at the rotors' turns.
+    gyro_filter: str = "none"
     task: Task = field(default_factory=PulseTask)
     reward: Reward = field(default_factory=TrackingReward)
     world: WorldConfig = field(default_factory=WorldConfig)
@@ -174,6 +176,10 @@ class TrainingConfig:
             )
         if self.recurrent != "none" and not isinstance(self.algorithm, PathwiseConfig):
             yield f"recurrent {self.recurrent!r}: {self.algorithm.name} trains no memory; choose pathwise"
+        try:
+            GyroFilters.parse(self.gyro_filter)
+        except ValueError as error:
+            yield str(error)
         yield from self.output.errors()
         if not self.output.squash and isinstance(self.algorithm, ENDS_IN_TANH):
             yield f"output.squash false, expected true: {self.algorithm.name}'s policies end in tanh"
@@ -205,6 +211,7 @@ class TrainingConfig:
         where = f"aircraft {aircraft.name}"
         try:
             check_observation(self.blocks(), aircraft.motor_count)
+            self.gyro_filters.check(aircraft.motor_count, self.control_rate_hz)
         except ValueError as error:
             raise TrainingError(f"{where}: {error}") from None
         try:
@@ -243,14 +250,9 @@ class TrainingConfig:
                 return isinstance(algorithm, ENDS_IN_TANH)
 
     @property
-    def gyro_mean(self) -> bool:
-        """True if the policy observes the mean of the gyro's samples of a control period."""
-        return self.gyro_filter == POLICY_FILTER_MEAN
-
-    @property
-    def filters(self) -> list[list[str]]:
-        """The gyro filters that the policy is trained behind, as JSON data of its metadata."""
-        return [[POLICY_FILTER_MEAN]] if self.gyro_mean else []
+    def gyro_filters(self) -> GyroFilters:
+        """The gyro filters that the policy is trained behind."""
+        return GyroFilters.parse(self.gyro_filter)
 
     def blocks(self) -> tuple[ObservationTerm, ...]:
         """Parse the observation's terms. Raises TrainingError naming one that is unknown or impossible."""
@@ -279,7 +281,7 @@ class TrainingConfig:
             "aircraft": {"name": aircraft.name, "sha256": aircraft.sha256},
             "motors": aircraft.motor_count,
             "observation_scale": self.observation_scale(aircraft.motor_count),
-            "filters": self.filters,
+            "filters": self.gyro_filters.chain,
             **({} if model is None else {"model": model.document()}),
             **({"plugins": plugins} if plugins else {}),
             **{field.name: _plain(getattr(self, field.name)) for field in fields(self)},

@@ -99,7 +99,7 @@ def _claims(setup: Setup) -> PolicyClaims:
     return PolicyClaims(
         observation=config.observation,
         control_rate_hz=rate_hz,
-        filters=json.dumps(config.filters),
+        filters=json.dumps(config.gyro_filters.chain),
         aircraft=aircraft.name,
         aircraft_sha256=aircraft.sha256,
         motors=aircraft.motor_count,

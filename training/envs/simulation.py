@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.control.estimator import observed_model
-from neuroflight.sim.control.gyro_mean import GyroMean, samples_per_step
+from neuroflight.sim.control.gyro_filter import GyroFilter, samples_per_step
 from neuroflight.sim.control.motors import dshot_values, motor_fractions, throttle_mix
 from neuroflight.sim.control.observation import Observer
 from neuroflight.sim.physics.imu import quantised_rate
@@ -62,8 +62,10 @@ class AttitudeSimulation:
         self._rng = rng
         self.steps = round(self._task.duration_s * self._rate_hz)
         self._last = self.steps if steps_max is None else min(self.steps, steps_max)
-        self._samples = samples_per_step(config.gyro_mean, self._rate_hz)
-        self._gyro = GyroMean(count, self._samples)
+        filters = config.gyro_filters
+        self._samples = samples_per_step(filters, self._rate_hz)
+        self._gyro = GyroFilter(filters, count, self.motor_count, self._rate_hz, self._samples)
+        self._hears = filters.rpm is not None
         self._twin = Twin(
             aircraft,
             count,
@@ -117,8 +119,10 @@ class AttitudeSimulation:
         fractions = throttle_mix(action, self._throttle, self._mix)
         self._observer.commanded(slice(None), fractions, self._throttle)
         self._fractions = command = motor_fractions(dshot_values(fractions, self._idle))
-        for _ in range(self._samples):
+        for left in reversed(range(self._samples)):
             self._twin.step(command)
+            if self._hears and left == 0:
+                self._gyro.told(self._twin.told_speed)
             self._gyro.add(quantised_rate(self._twin.gyro))
         before, self._action = self._action, action
         self._step += 1
@@ -200,7 +204,7 @@ class AttitudeSimulation:
         return self._observer.observe(
             which,
             self.setpoint[which].astype(np.float32),
-            self._gyro.mean(which),
+            self._gyro.read(which),
             self._action[which],
             self._throttle[which],
             **self._sensed(which),

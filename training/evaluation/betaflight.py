@@ -29,6 +29,7 @@ from neuroflight.sim.ports.betaflight.build import VERSION
 from neuroflight.sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet
 from neuroflight.sim.ports.betaflight.port import IDLE, ROW_RATE_HZ
 from neuroflight.sim.ports.betaflight.tune import Tune
+from neuroflight.toolchain.policy.gyro_filters import UNFILTERED, GyroFilters
 from neuroflight.training.evaluation.evaluation import Event, Flights, Rows, drawn
 from neuroflight.training.tasks.task import Task
 
@@ -42,7 +43,7 @@ class BetaflightSpec:
     armed: ArmedBetaflight
     name: str = BETAFLIGHT  # as the user wrote it
     control_rate_hz: ClassVar[int] = ROW_RATE_HZ
-    gyro_mean: ClassVar[bool] = False  # its filters take in all samples
+    gyro_filters: ClassVar[GyroFilters] = UNFILTERED  # its own take in all samples
 
     @property
     def label(self) -> str:

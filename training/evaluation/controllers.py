@@ -20,6 +20,7 @@ from neuroflight.sim.physics.variation import Variation
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ, Mix
 from neuroflight.toolchain.errors import PolicyError
+from neuroflight.toolchain.policy.gyro_filters import UNFILTERED, GyroFilters
 from neuroflight.toolchain.policy.label import policy_label
 from neuroflight.toolchain.policy.model import read_policy
 from neuroflight.training.evaluation.betaflight import BetaflightSpec, record_betaflight
@@ -49,7 +50,7 @@ class ControllerSpec:
     idle: float  # motor fraction of armed motors at no thrust
     facts: dict[str, str]  # what a stored result records of it
     mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs and the throttle
-    gyro_mean: bool = False  # whether it sees the mean of the gyro's samples of a control period
+    gyro_filters: GyroFilters = UNFILTERED  # of the gyro before it
     standing: Callable[[int], Controller] | None = None  # as `build`, on the ground; None: as in the air
 
     @property
@@ -85,7 +86,7 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
             idle=settings.idle if idle is None else idle,
             facts={"pid": chosen},
             mix=settings.mix,
-            gyro_mean=settings.gyro_mean,
+            gyro_filters=settings.gyro_filters,
         )
     path = Path(name)
     policy = read_policy(path)
@@ -106,7 +107,7 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
             **({} if note is None else {OTHER_AIRCRAFT: note}),
         },
         mix=policy.mix,
-        gyro_mean=policy.gyro_mean,
+        gyro_filters=policy.gyro_filters,
     )
 
 
@@ -124,7 +125,7 @@ def users_spec(
             "parameters": ", ".join(f"{each}={value:g}" for each, value in controller.values.items()),
         },
         mix=controller.mix,
-        gyro_mean=controller.gyro_mean,
+        gyro_filters=controller.gyro_filters,
     )
 
 
@@ -183,7 +184,7 @@ class Conditions:
             control_rate_hz=controller.control_rate_hz,
             idle=controller.idle,
             mix=controller.mix,
-            gyro_mean=controller.gyro_mean,
+            gyro_filters=controller.gyro_filters,
             gyro_rate_hz=self.gyro_rate_hz,
             **common,
         )
@@ -191,6 +192,6 @@ class Conditions:
 
 def at_gyro_rate(conditions: Conditions, controllers: Iterable[AnyController], *, sticks: bool) -> Conditions:
     """Return the conditions at the gyro rate that one of the controllers needs; sticks: see Conditions."""
-    if sticks or any(controller.gyro_mean for controller in controllers):
+    if sticks or any(controller.gyro_filters.every_sample for controller in controllers):
         return replace(conditions, gyro_rate_hz=GYRO_RATE_DEFAULT_HZ, sticks=sticks)
     return conditions

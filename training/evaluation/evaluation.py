@@ -16,7 +16,7 @@ from neuroflight.sim.analysis.response import Hold, Response, ResponseFigures, h
 from neuroflight.sim.analysis.spectrum import Spectrum, components, smoothness, spectrum
 from neuroflight.sim.control.battery_voltage import BatteryVoltage
 from neuroflight.sim.control.controller import Controller, PolicyController
-from neuroflight.sim.control.gyro_mean import GyroMean, samples_per_step
+from neuroflight.sim.control.gyro_filter import GyroFilter, samples_per_step
 from neuroflight.sim.control.motors import motor_commands
 from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.physics.imu import quantised_rate
@@ -25,6 +25,7 @@ from neuroflight.sim.physics.variation import Variation
 from neuroflight.sim.physics.world import Mount
 from neuroflight.sim.ports.port import control_divider
 from neuroflight.toolchain.contract import IDLE_DEFAULT, Mix
+from neuroflight.toolchain.policy.gyro_filters import UNFILTERED, GyroFilters
 from neuroflight.training.tasks.flight import Course, course_of
 from neuroflight.training.tasks.pieces import RecordedPieces
 from neuroflight.training.tasks.task import Task
@@ -202,7 +203,7 @@ def record(
     throttle: float | NDArray[np.float32] = 0.0,
     idle: float = IDLE_DEFAULT,
     mix: Mix = Mix.ATTITUDE_FIRST,
-    gyro_mean: bool = False,
+    gyro_filters: GyroFilters = UNFILTERED,
     gyro_rate_hz: int | None = None,
     charge: float | None = None,
     variation: Variation | None = None,
@@ -214,9 +215,9 @@ def record(
     controller: for `episodes` aircraft; seed: of commands and noise; ground: they stand on it, mount free;
     throttle: the pilot's thrust 0..1, one
     for all, (episodes,), or that of each control step, (episodes, T); charge: of every battery, 0..1, None:
-    the bench supply, if no variation says it; idle, mix: of the controller; gyro_mean: whether it sees the
-    mean of the gyro's samples of a control period instead of the last one; gyro_rate_hz: of the gyro and of
-    the twin's steps, a multiple of the control rate, None: the control rate, with `gyro_mean` the NF1's;
+    the bench supply, if no variation says it; idle, mix: of the controller; gyro_filters: of the
+    gyro before it; gyro_rate_hz: of the gyro and of
+    the twin's steps, a multiple of the control rate, None: the control rate, with filters the NF1's;
     variation: how the aircraft differ from their file, `episodes` of them; event: what happens to them in
     flight; progress: called with steps done and to do. The same seed gives every controller the same
     commands, and at the same gyro rate the same noise and bias. Raises LinkError on a gyro rate that is
@@ -229,11 +230,11 @@ def record(
     by_step = np.ascontiguousarray(np.transpose(throttle), np.float32) if np.ndim(throttle) == 2 else None
     thrust = np.full(episodes, 0.0 if by_step is not None else throttle, np.float32)
     rows = Rows(steps, episodes, aircraft.motor_count)
-    samples = samples_per_step(gyro_mean, control_rate_hz)
+    samples = samples_per_step(gyro_filters, control_rate_hz)
     if gyro_rate_hz is not None:
         samples = control_divider(gyro_rate_hz, control_rate_hz)
-    seen = samples if gyro_mean else 1  # of a control period
-    gyro = GyroMean(episodes, seen)
+    seen = samples if gyro_filters.every_sample else 1  # of a control period
+    gyro = GyroFilter(gyro_filters, episodes, aircraft.motor_count, control_rate_hz, samples)
     twin = Twin(
         aircraft,
         episodes,
@@ -257,18 +258,20 @@ def record(
                 event.change(twin)
             if event is not None and event.yaw_given_up and k >= round(event.at_s * control_rate_hz):
                 setpoint = setpoint.copy()
-                setpoint[:, 2] = gyro.mean()[:, 2]
+                setpoint[:, 2] = gyro.read()[:, 2]
             if by_step is not None:
                 thrust = by_step[k]
             if isinstance(controller, PolicyController) and controller.senses:
                 controller.sense(twin.told_speed, twin.rotation)
-            rows.output[k] = y = controller.step(setpoint, gyro.mean(), thrust)
+            rows.output[k] = y = controller.step(setpoint, gyro.read(), thrust)
             if isinstance(controller, Pid) and battery.due(k):
                 controller.compensate(battery.measure(twin.pack_voltage))
             command = motor_commands(y, thrust, idle, mix)
             rows.put(k, twin, command)
             for left in reversed(range(samples)):
                 twin.step(command)
+                if gyro_filters.rpm is not None and left == 0:
+                    gyro.told(twin.told_speed)
                 if left < seen:
                     gyro.add(quantised_rate(twin.live.gyro))
             if progress is not None:

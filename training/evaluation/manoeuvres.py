@@ -96,7 +96,7 @@ def _port(spec: ControllerSpec, aircraft: Aircraft) -> ControllerPort:
         spec.control_rate_hz,
         spec.idle,
         mix=spec.mix,
-        gyro_mean=spec.gyro_mean,
+        gyro_filters=spec.gyro_filters,
     )
 
 

@@ -42,6 +42,7 @@ EXTREMES = Randomization(
     delay_s=(0.0, 0.006),
     charge=(0.0, 1.0),
 )
+SHAKEN_DEG_S = 25.0  # one rotor at full speed; see docs/reference/aircraft.md
 CASE_RATIO_MAX = 2.0  # of the nominal error, each parameter at an extreme
 MEDIAN_RATIO_MAX = 1.5  # of draws of all parameters at once
 HIGH_RATIO_MAX = 2.5
@@ -77,6 +78,8 @@ class Case:
         if self.parameter == "charge":
             named = {0.0: "empty", 1.0: "full"}
             return f"battery {named.get(self.value, f'{100 * self.value:g} %')}"
+        if self.parameter == "vibration":
+            return f"vibration {math.degrees(self.value):g} deg/s"
         return f"{self.parameter} x {self.value:g}"
 
     def variation(self, count: int, delay_s: float) -> Variation | None:
@@ -116,7 +119,7 @@ class RobustnessPlan:
         return EXTREMES if known else replace(EXTREMES, charge=None)
 
     def cases(self) -> list[Case]:
-        """Return the nominal case, then each parameter at both of its extremes."""
+        """Return the nominal case, each parameter at both of its extremes, and an aircraft that shakes."""
         extremes = self.extremes()
         found = [Case()]
         for field in fields(extremes):
@@ -124,7 +127,7 @@ class RobustnessPlan:
             for value in bounds or ():
                 if value != 1.0 or field.name == "charge":
                     found.append(Case(field.name, value))
-        return found
+        return [*found, Case("vibration", math.radians(SHAKEN_DEG_S))]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,10 @@ import numpy as np
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.arrays import Array32
 from neuroflight.sim.control.controller import Controller
-from neuroflight.toolchain.contract import CONTROL_RATES_HZ, POLICY_FILTER_MEAN, Mix
+from neuroflight.toolchain.contract import CONTROL_RATES_HZ, Mix
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.toolchain.files import read_limited
+from neuroflight.toolchain.policy.gyro_filters import NONE, GyroFilters
 from neuroflight.toolchain.strict_toml import StrictTable, parse_toml
 from neuroflight.training.plugins import blaming, real_array, users_class
 
@@ -51,7 +52,7 @@ class UsersController:
     control_rate_hz: int
     idle: float
     mix: Mix
-    gyro_mean: bool
+    gyro_filters: GyroFilters
 
     def build(self, aircraft: Aircraft, count: int, values: Mapping[str, float] | None = None) -> Controller:
         """Make one for `count` aircraft. values: of its parameters, None: its own."""
@@ -88,8 +89,7 @@ def load_users_controller(name: str) -> UsersController:
         control_rate_hz=_said(where, kind, "control_rate_hz", RATE_HZ, CONTROL_RATES_HZ),
         idle=_idle(where, getattr(kind, "idle", IDLE)),
         mix=Mix.of(_said(where, kind, "mix", Mix.ATTITUDE_FIRST.text, [mix.text for mix in Mix])),
-        gyro_mean=_said(where, kind, "gyro_filter", "none", ("none", POLICY_FILTER_MEAN))
-        == POLICY_FILTER_MEAN,
+        gyro_filters=_gyro_filters(where, getattr(kind, "gyro_filter", NONE)),
     )
     return found
 
@@ -131,6 +131,13 @@ def _said(where: str, kind: type[Any], key: str, usual: Any, known: Any) -> Any:
     if not isinstance(value, type(usual)) or value not in known:
         raise TrainingError(f"{where}: {key} {value!r}, expected one of: {', '.join(map(str, known))}")
     return value
+
+
+def _gyro_filters(where: str, value: Any) -> GyroFilters:  # noqa: ANN401 - as the class has it
+    try:
+        return GyroFilters.parse(str(value))
+    except ValueError as error:
+        raise TrainingError(f"{where}: {error}") from None
 
 
 def _idle(where: str, value: Any) -> float:  # noqa: ANN401 - as the class has it

@@ -23,6 +23,7 @@ from neuroflight.sim.control.motors import throttle_mix
 from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.control.pid_table import mixer
 from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.policy.gyro_filters import UNFILTERED
 from neuroflight.training.evaluation.evaluation import Flights, record
 from neuroflight.training.pid_tuning.trial import (
     MARGIN,
@@ -46,7 +47,7 @@ COMMANDS = 12  # pulses that each candidate flies
 class DissertationTrials(Trials):
     """The flights that every candidate of a search makes."""
 
-    mix, gyro_mean, idle = Mix.ATTITUDE_FIRST, False, None
+    mix, gyro_filters, idle = Mix.ATTITUDE_FIRST, UNFILTERED, None
 
     aircraft: Aircraft  # its gyro without bias
     limits: Limits

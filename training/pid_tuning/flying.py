@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings
 from neuroflight.sim.arrays import Array, Array32
-from neuroflight.sim.control.gyro_mean import samples_per_step
+from neuroflight.sim.control.gyro_filter import samples_per_step
 from neuroflight.sim.control.pid_table import mixer, settings_table
 from neuroflight.sim.physics.rotor import response_rows, target_speed, thrust_and_torque
 from neuroflight.toolchain.contract import GRAVITY, Mix
+from neuroflight.toolchain.policy.gyro_filters import MEAN
 from neuroflight.toolchain.rendering.pid_table import pid_gains
 from neuroflight.training.config.training_config import OutputMap
 from neuroflight.training.learners.network.library import load, pointer
@@ -87,7 +88,7 @@ def throttle_for(aircraft: Aircraft, level: float, idle: float) -> float:
 class FlyingTrials(Trials):
     """The flights that every candidate of a search makes."""
 
-    mix, gyro_mean = Mix.CENTRED, True
+    mix, gyro_filters = Mix.CENTRED, MEAN
 
     def __init__(
         self, aircraft: Aircraft, limits: Limits, rng: np.random.Generator, pulses: int = PULSES
@@ -96,12 +97,13 @@ class FlyingTrials(Trials):
         self.aircraft, self.limits, self.idle = aircraft, limits, limits.idle
         flights = AS_FILED + HARDER
         setpoint = self.setpoint = _setpoints(flights, pulses, rng)
-        samples = samples_per_step(self.gyro_mean, RATE_HZ)
+        samples = samples_per_step(self.gyro_filters, RATE_HZ)
         surroundings = Surroundings(
             aircraft=aircraft,
             steps=len(setpoint),
             control_rate_hz=RATE_HZ,
             samples=samples,
+            filters=self.gyro_filters,
             terms=(),
             scales=(),
             mix=self.mix,
@@ -191,6 +193,7 @@ def _rows(
         **dict.fromkeys(("speed", "lift", "drag", "light", "load"), same),
         "charge": -same,  # the bench supply
         "delay": np.maximum(1, np.rint(delay / dt)).astype(np.int32),
+        "shake": same * np.float32(max(aircraft.gyro.vibration)),
         "phase": rng.uniform(-0.5, 0.5, (aircraft.motor_count, LANES)).astype(np.float32),
         "setpoint": setpoint,
         "throttle": np.tile(throttle, (steps, 1)),

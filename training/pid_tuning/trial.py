@@ -14,6 +14,7 @@ from neuroflight.sim.aircraft.model import Aircraft, PidSettings
 from neuroflight.sim.analysis.response import BAND, FLOOR_DEG_S
 from neuroflight.sim.arrays import Array
 from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.policy.gyro_filters import GyroFilters
 from neuroflight.training.evaluation.evaluation import Flights
 from neuroflight.training.tasks.task import EpisodicTask, PulseTask
 
@@ -65,7 +66,7 @@ class Trials:
     aircraft: Aircraft
     limits: Limits
     mix: Mix  # of every candidate's outputs with the throttle
-    gyro_mean: bool  # whether candidates see the mean of the gyro's samples of a control period
+    gyro_filters: GyroFilters  # before every candidate
     idle: float | None  # of every candidate; None: it is searched, up to its limit
 
     def fly(self, candidates: Sequence[PidSettings]) -> list[Trial[PidSettings]]:

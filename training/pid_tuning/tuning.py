@@ -130,7 +130,7 @@ class _Space:
             significant(cutoff_hz),
             significant(min(idle, most)) if fixed is None else fixed,
             mix=self.trials.mix,
-            gyro_mean=self.trials.gyro_mean,
+            gyro_filters=self.trials.gyro_filters,
         )
 
 

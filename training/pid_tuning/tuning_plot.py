@@ -63,7 +63,7 @@ def _responses(
         throttle=throttle,
         idle=settings.idle,
         mix=settings.mix,
-        gyro_mean=settings.gyro_mean,
+        gyro_filters=settings.gyro_filters,
     )
     start = round(task.idle_s * RATE_HZ)
     stepped = np.stack([flights.rate[axis, start:, axis] for axis in range(3)])

@@ -129,7 +129,7 @@ class _Flights:
             throttle=np.tile(np.repeat(throttle, each // len(LEVELS)), count),
             idle=spec.idle,
             mix=spec.mix,
-            gyro_mean=spec.gyro_mean,
+            gyro_filters=spec.gyro_filters,
         )
         assert flown.motors is not None  # `record` keeps them
         rows = [slice(first, first + each) for first in range(0, count * each, each)]

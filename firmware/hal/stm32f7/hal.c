@@ -187,6 +187,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	(void)gyro_start(gyro, &found); /* the core hears of its silence */
 	watchdog_feed();
 	info->alignment = gyro->alignment;
+	info->turn_deg = board.turn_deg;
 	info->gyro_chip = found.kind;
 	info->gyro_identity = found.identity;
 	info->brown_out = (uint8_t)(1u + BROWN_OUT_OFF - VALUE(FLASH_OPTCR_BOR_LEV, FLASH_OPTCR));

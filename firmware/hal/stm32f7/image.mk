@@ -24,7 +24,8 @@ $(OBJ)/boot/hal/stm32f7/boot/boot_crc32.o: CFLAGS += -O2
 # ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick.
 $(OBJ)/src/%.o: CFLAGS += -Os
 # But for what every step of a policy that observes much goes through number by number, or change by change.
-$(addprefix $(OBJ)/src/,$(addprefix control/,estimator.o mixer.o observation.o) motors/dshot_telemetry.o): CFLAGS += -O2
+$(addprefix $(OBJ)/src/,$(addprefix control/,estimator.o mixer.o observation.o) motors/dshot_telemetry.o \
+	$(addprefix sensing/,rotors.o rpm_filter.o)): CFLAGS += -O2
 # What only the background runs keeps less in registers, so that it saves and restores fewer.
 $(addprefix $(OBJ)/src/,background.o background_start.o background_services.o \
 	$(addsuffix /%.o,blackbox command_line msp port storage usb)): \

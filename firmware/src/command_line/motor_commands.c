@@ -66,6 +66,11 @@ static void motor_say_told(const struct task_line *t, unsigned motor)
 	printer_say(t->out, " rpm, %u.%u %% errors", errors / 100u, errors / 10u % 10u);
 	if (r->known[motor] >> NF_ESC_TEMPERATURE & 1u)
 		printer_say(t->out, ", %u deg C", r->told[motor][NF_ESC_TEMPERATURE]);
+	if (r->known[motor] >> NF_ESC_VOLTAGE & 1u) {
+		printer_say(t->out, ", ");
+		printer_fixed(t->out, 0.25f * (float)r->told[motor][NF_ESC_VOLTAGE], 2);
+		printer_say(t->out, " V");
+	}
 	if (r->known[motor] >> NF_ESC_CURRENT & 1u)
 		printer_say(t->out, ", %u A", r->told[motor][NF_ESC_CURRENT]);
 }

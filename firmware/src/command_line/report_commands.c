@@ -101,10 +101,16 @@ static void status_motors(const struct task_line *t)
 		    (unsigned)t->services->motor_restarts(t->services->context));
 	if (!rotors->on)
 		return;
+	unsigned worst = 0;
 	printer_say(t->out, rotors->silent ? ", ESCs that are silent:" : ", all ESCs tell rotor speeds");
-	for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i)
+	for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i) {
 		if (rotors->silent >> i & 1u)
 			printer_say(t->out, " %u", i + 1u);
+		else if (rotors->errors[i] > worst)
+			worst = rotors->errors[i];
+	}
+	if (worst > 0)
+		printer_say(t->out, ", up to %u.%u %% errors", worst / 100u, worst / 10u % 10u);
 }
 
 static void status_gyro(const struct task_line *t)

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "common/limit.h"
+#include "common/words.h"
 
 enum nf_err control_init(struct control *control, const struct control_config *config)
 {
@@ -242,7 +243,7 @@ static bool control_fly(struct control *control, const struct control_input *inp
 	}
 	control_mix(control, input->throttle, output);
 	control_hand_over(control, control->flying != before && !control->first && !control->distrusted, output);
-	memcpy(control->output, output, sizeof control->output);
+	words_copy(control->output, output, sizeof control->output);
 	if (control->estimator.model.delay > 0)
 		estimator_command(&control->estimator, output,
 				  mixer_stops(&control->mixers[control->flying], input->throttle));

@@ -11,10 +11,12 @@ uint16_t dshot_value(float fraction)
 	return (uint16_t)(NF_DSHOT_MIN + (uint16_t)(steps + 0.5f));
 }
 
-uint16_t dshot_frame(uint16_t value, bool telemetry, bool answered)
-{
-	const unsigned data = (value & 0x7FFu) << 1 | telemetry;
-	const unsigned checksum = (data ^ data >> 4 ^ data >> 8 ^ (answered ? 0xFu : 0u)) & 0xFu;
+#define BOTH 0x00010001u
 
-	return (uint16_t)(data << 4 | checksum);
+uint32_t dshot_frames(uint32_t values, bool telemetry, bool answered)
+{
+	const uint32_t data = (values & 0x7FFu * BOTH) << 1 | (telemetry ? BOTH : 0u);
+	const uint32_t checksums = (data ^ data >> 4 ^ data >> 8 ^ (answered ? 0xFu * BOTH : 0u)) & 0xFu * BOTH;
+
+	return data << 4 | checksums;
 }

@@ -6,13 +6,25 @@
 
 #define SAMPLES_A_BIT DSHOT_ANSWER_OVERSAMPLING
 #define DATA_BITS (DSHOT_ANSWER_BITS - 1u)
-#define DRIFT_MAX 5 /* samples, of 63: 8 % */
 
 /* Levels last one to three bits: so many samples at least, and at most. Whatever the phase of the samples and a clock that
  * is up to 11 % off, a bit is 2 to 4 of them, two are 5 to 7, three 8 to 10. */
 #define RUN_MIN 2u
 #define RUN_MAX 10u
 static const uint8_t bits_of_run[RUN_MAX - RUN_MIN + 1u] = { 1, 1, 1, 2, 2, 2, 3, 3, 3 };
+
+/* An edge that is moved by half a bit passes for another bit's, and a checksum of four bits lets some of that pass. So the
+ * edges must also lie on a grid of bits as long as those of the answers before: without noise, samples see them late by
+ * amounts that differ by less than one sample; some more is allowed. A bit too many or too few puts all behind it three
+ * samples off. The length of a line's bits is learned from all answers whose checksum is right. */
+#define FINE 256u /* parts of a sample */
+#define PLACE (FINE / 4u)
+#define PLACES 32u
+#define PLACES_APART_MAX 6u
+#define LEARNED_SHIFT 8 /* of a length, in parts of FINE's */
+#define LEARNED(percent) ((int32_t)(SAMPLES_A_BIT * FINE << LEARNED_SHIFT) * (percent) / 100)
+#define SHORTEST LEARNED(-7)
+#define LONGEST LEARNED(10)
 
 /* What is known of a line. `bits` is a one, which stands for the answer's begin, and behind it the bits up to the last
  * change: where they have become more than 32, the highest one is among the last three, as no two changes are further
@@ -21,7 +33,10 @@ static const uint8_t bits_of_run[RUN_MAX - RUN_MIN + 1u] = { 1, 1, 1, 2, 2, 2, 3
 struct line {
 	uint32_t bits; /* 0: nothing has come */
 	uint32_t last; /* change, as a sample's number */
+	uint32_t late; /* that change, against the grid [1/FINE sample], and ON_TIME beside */
+	uint32_t places; /* bit field: how late all of them were, by PLACE */
 };
+#define ON_TIME (PLACES / 2u * PLACE)
 
 /* The nibble that five bits stand for; NONE: they stand for none. A published code of limited run length. */
 #define NONE 0x80u
@@ -43,25 +58,40 @@ static uint16_t dshot_telemetry_word(uint32_t data)
 	return (uint16_t)(a << 8 | b << 4 | c);
 }
 
-/* `first`: the line's first change, if there is one. `rests`: it does at its first and at its last sample. The answer's last change is a one's, or ends the last level
- * where that is low; zeros at the end do not show. */
+/* The length of a bit [1/FINE sample]. */
+static uint32_t dshot_telemetry_bit(int16_t learned)
+{
+	return SAMPLES_A_BIT * FINE + (uint32_t)(learned >> LEARNED_SHIFT);
+}
+
+/* `first`: the line's first change, if there is one. `rests`: it does at its first and at its last sample. The answer's last
+ * change is a one's, or ends the last level where that is low; zeros at the end do not show. */
 static __attribute__((noinline)) uint16_t dshot_telemetry_end(const struct line *line, uint32_t first, bool rests,
-							      uint32_t count, uint32_t earliest)
+							      uint32_t count, uint32_t earliest, int16_t *learned)
 {
 	if (line->bits == 0u)
 		return NF_ESC_SILENT;
 	const uint32_t length = 31u - (uint32_t)__builtin_clz(line->bits); /* bits up to the last change */
-	const int32_t drift = (int32_t)(line->last - first) - (int32_t)(SAMPLES_A_BIT * length);
 
-	if (!rests || first < earliest || length > DSHOT_ANSWER_BITS || length < DATA_BITS - 1u || drift > DRIFT_MAX ||
-	    drift < -DRIFT_MAX ||
-	    (int32_t)first + drift + (int32_t)(SAMPLES_A_BIT * (DSHOT_ANSWER_BITS + 1u)) > (int32_t)count)
+	if (!rests || first < earliest || length > DSHOT_ANSWER_BITS || length < DATA_BITS - 1u ||
+	    line->last + SAMPLES_A_BIT * (DSHOT_ANSWER_BITS + 1u - length) > count)
 		return NF_ESC_DAMAGED;
-	return dshot_telemetry_word(line->bits << (DSHOT_ANSWER_BITS - length) >> 1);
+	const uint16_t word = dshot_telemetry_word(line->bits << (DSHOT_ANSWER_BITS - length) >> 1);
+
+	if (word == NF_ESC_DAMAGED)
+		return word;
+	const int32_t length_now = *learned +
+				   (int32_t)(line->late -
+					     ON_TIME); /* a thirteenth of what the last edge is off, about 20 bits on */
+
+	*learned = (int16_t)(length_now < SHORTEST ? SHORTEST : length_now > LONGEST ? LONGEST : length_now);
+	const uint32_t apart = 31u - (uint32_t)__builtin_clz(line->places) - (uint32_t)__builtin_ctz(line->places);
+
+	return apart > PLACES_APART_MAX ? NF_ESC_DAMAGED : word;
 }
 
 void dshot_telemetry_decode(const uint32_t samples[], size_t pairs, uint32_t earliest, uint32_t lines,
-			    uint16_t words[DSHOT_PORT_LINES])
+			    int16_t learned[DSHOT_PORT_LINES], uint16_t words[DSHOT_PORT_LINES])
 {
 	struct line states[DSHOT_PORT_LINES];
 	uint32_t firsts[DSHOT_PORT_LINES]; /* changes, where there are any */
@@ -89,10 +119,14 @@ void dshot_telemetry_decode(const uint32_t samples[], size_t pairs, uint32_t ear
 
 			changes &= changes - 1u;
 			if (run <= RUN_MAX - RUN_MIN) {
-				line->bits = line->bits << bits_of_run[run] | 1u;
+				const uint32_t bits = bits_of_run[run];
+
+				line->bits = line->bits << bits | 1u;
+				line->late += (run + RUN_MIN) * FINE - bits * dshot_telemetry_bit(learned[number]);
+				line->places |= 1u << line->late / PLACE % PLACES;
 				line->last = at;
 			} else if (line->bits == 0u) {
-				*line = (struct line){ 1, at };
+				*line = (struct line){ 1, at, ON_TIME, 1u << ON_TIME / PLACE };
 				firsts[number] = at;
 			} else {
 				line->bits = TOO_MANY;
@@ -107,6 +141,6 @@ void dshot_telemetry_decode(const uint32_t samples[], size_t pairs, uint32_t ear
 		const uint32_t line = (uint32_t)__builtin_ctz(left);
 
 		words[line] = dshot_telemetry_end(&states[line], firsts[line], (rest >> line & 1u) != 0u, count,
-						  earliest);
+						  earliest, &learned[line]);
 	}
 }

@@ -194,7 +194,6 @@ static void reply_motor(struct msp_writer *w, const struct msp_request *q)
 	}
 }
 
-/* The ecosystem's order is roll, pitch, yaw, throttle, then the switches. */
 /* What extended telemetry has told of a motor, times the units that a reply has in its own; 0: nothing. */
 static unsigned reply_told(const struct rotors *rotors, unsigned motor, enum nf_esc_told kind, unsigned units)
 {
@@ -218,6 +217,7 @@ static void reply_motor_telemetry(struct msp_writer *w, const struct msp_request
 	}
 }
 
+/* The ecosystem's order is roll, pitch, yaw, throttle, then the switches. */
 static void reply_rc(struct msp_writer *w, const struct msp_request *q)
 {
 	const uint16_t *channels_us = q->status->channels_us;

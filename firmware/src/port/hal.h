@@ -31,7 +31,7 @@ struct hal {
 	size_t (*receiver_read)(void *context, uint8_t *bytes, size_t capacity);
 	/* From `sample` and `gyro_silent`, every gyro sample: DShot values (11 bits, by output, 0 stops), held
 	 * between control steps; `telemetry` is the frame's telemetry bit, which commands need. The chip sends them as
-	 * frames (dshot_frame of dshot.h) or packets. False: the last frame, or its answers, are still on the wire, and
+	 * frames (dshot_frames of dshot.h) or packets. False: the last frame, or its answers, are still on the wire, and
 	 * this one is dropped. */
 	bool (*motors_write)(void *context, const uint16_t dshot[], size_t count, bool telemetry);
 	/* From `sample`, at the start of each control step while the setting motor_telemetry is on: of each output the
@@ -73,6 +73,7 @@ struct hal {
 struct hal_info {
 	const struct hal *hal; /* lives as long as the program */
 	enum board_alignment alignment; /* of the gyro chip found, where the settings say "board" */
+	const int16_t *turn_deg; /* [3] of the board by its maker: roll, pitch, yaw; NULL: none */
 	enum gyro_chip gyro_chip; /* which one that is, if it says so by gyro_identity */
 	uint8_t gyro_identity; /* what the chip says it is, known or not; 0: nothing was read */
 	uint8_t brown_out; /* the detector's level + 1, 1: it is off; 0: this chip tells of none */

@@ -2,6 +2,7 @@
 
 #include "common/limit.h"
 #include "common/nf_math.h"
+#include "sensing/svf_step.h"
 
 #define HIGHEST_TURNS 0.45f  /* of the gyro rate */
 #define SPAN_HZ 100.0f       /* least distance of low and high: below, bins lie closer than float32 tells apart */

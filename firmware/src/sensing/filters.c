@@ -6,6 +6,7 @@
 #include "common/nf_math.h"
 #include "common/printer.h"
 #include "policy.h"
+#include "sensing/svf_step.h"
 
 /* Of the longest list: each number has 10 digits at most, and a stage two of them. */
 #define HASHED_BYTES (NF_FILTER_STAGES * sizeof ",[\"biquad\",4294967295,4294967295]" + 128u)

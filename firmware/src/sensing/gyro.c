@@ -65,6 +65,7 @@ enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_align
 	*gyro = (struct gyro){
 		.alignment = alignment,
 		.rests = true,
+		.turn = { { 1.0f, 0.0f, 0.0f }, { 0.0f, 1.0f, 0.0f }, { 0.0f, 0.0f, 1.0f } },
 		.bad_after = gyro_rate_hz * NF_GYRO_BAD_MS / 1000u,
 		.saturated_after = gyro_rate_hz * NF_GYRO_SATURATED_MS / 1000u,
 		.stuck_after = gyro_rate_hz * stuck_ms / 1000u,
@@ -96,10 +97,16 @@ void gyro_board_init(struct gyro *gyro, float roll_deg, float pitch_deg, float y
 		{ sy, -sx * cy, cx * cy },
 	};
 
-	gyro->turned = roll_deg != 0.0f || pitch_deg != 0.0f || yaw_deg != 0.0f;
-	for (int i = 0; i < 3; ++i)
-		for (int j = 0; j < 3; ++j)
-			gyro->turn[i][j] = turn[i][j];
+	if (roll_deg == 0.0f && pitch_deg == 0.0f && yaw_deg == 0.0f)
+		return;
+	gyro->turned = true;
+	for (int j = 0; j < 3; ++j) {
+		float axis[3] = { gyro->turn[0][j], gyro->turn[1][j], gyro->turn[2][j] };
+
+		gyro_turn(turn, axis);
+		for (int i = 0; i < 3; ++i)
+			gyro->turn[i][j] = axis[i];
+	}
 }
 
 /* Moves the bias towards the mean of a still window, unless an axis is so far away that it must be turning. */

@@ -19,7 +19,7 @@ struct gyro {
 	uint32_t saturated_after; /* number of them that no flight takes */
 	uint32_t same; /* good samples that repeated the one before, at most stuck_after */
 	bool rests;               /* the motors stand: the bias is found, or follows */
-	bool turned;              /* the board in the aircraft: by `turn` */
+	bool turned;              /* the board by its maker, or in the aircraft: by `turn` */
 	float turn[3][3];         /* from the board's axes to the body's */
 	uint32_t stuck_after; /* number of repetitions that a working chip does not produce; 0: no limit */
 };
@@ -28,7 +28,8 @@ struct gyro {
 enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_alignment alignment, unsigned stuck_ms);
 
 /* How the board is turned in the aircraft, -180 to 180 each: first by yaw (clockwise seen from above), then pitched (its
- * arrow upwards), then rolled (its left side downwards), each about the board's own axes. All 0 until called. */
+ * arrow upwards), then rolled (its left side downwards), each about the board's own axes. Each call turns what the calls
+ * before it have made of the board: the maker's turn first, then the pilot's. Not turned until called. */
 void gyro_board_init(struct gyro *gyro, float roll_deg, float pitch_deg, float yaw_deg);
 
 /* Takes one sample and writes the body rates [rad/s].

@@ -8,6 +8,7 @@
 #define WORD_STEP 0.015625f /* of a speed: four steps of a word's nine bits at their coarsest */
 #define MANTISSA ((1u << NF_ESC_MANTISSA_BITS) - 1u)
 #define FULL 10000u /* 0.01 % */
+#define NOT_JUMPED (-1.0f)
 _Static_assert(POLICY_ACTION_COUNT <= 8, "a bit each");
 
 void rotors_init(struct rotors *rotors, const struct nf_settings *settings, unsigned control_rate_hz)
@@ -18,9 +19,11 @@ void rotors_init(struct rotors *rotors, const struct nf_settings *settings, unsi
 	rotors->hold = (uint8_t)(NF_ROTOR_HOLD_MS * control_rate_hz / 1000u);
 	rotors->turn = ELECTRICAL_TURN / (float)settings->motor_poles;
 	rotors->room = NF_ROTOR_ACCELERATION_MAX / (float)control_rate_hz;
+	rotors->usual = NF_ROTOR_ACCELERATION_USUAL / (float)control_rate_hz;
 	rotors->left = (uint16_t)control_rate_hz;
 	for (int i = 0; i < POLICY_ACTION_COUNT; ++i) {
 		rotors->age[i] = UINT8_MAX;
+		rotors->jumped[i] = NOT_JUMPED;
 		rotors->errors[i] = FULL;
 	}
 	for (int i = 0; i < NF_MOTOR_COUNT_MAX; ++i)
@@ -51,24 +54,36 @@ unsigned rotors_period_us(unsigned word)
 								    (word & MANTISSA) << (word >> NF_ESC_MANTISSA_BITS);
 }
 
-/* A control step without a speed of that motor. */
+/* A control step without a speed that counts. */
 static inline void rotors_miss(struct rotors *rotors, unsigned motor)
 {
 	const unsigned age = rotors->age[motor];
 
 	if (age < UINT8_MAX)
 		rotors->age[motor] = (uint8_t)(age + 1u);
-	if (age >= rotors->hold)
+	if (age >= rotors->hold) {
 		rotors->silent |= (uint8_t)(1u << motor);
+		rotors->known[motor] = 0;
+	}
 }
 
-/* Does physics allow that speed after the last one, or after the one before that did not count? */
-static inline bool rotors_allows(const struct rotors *rotors, unsigned motor, float speed)
+static inline bool rotors_near(float speed, float other, float room)
 {
-	const float change = speed - rotors->speed[motor];
-	const float room = rotors->room * (float)(rotors->age[motor] + 1u) + speed * WORD_STEP;
+	const float change = speed - other;
 
-	return (change < 0.0f ? -change : change) <= room && speed <= NF_ROTOR_SPEED_MAX;
+	return (change < 0.0f ? -change : change) <= room + speed * WORD_STEP;
+}
+
+/* Does that speed count? `jumped`: of the word before, which did not. */
+static inline bool rotors_allows(const struct rotors *rotors, unsigned motor, float speed, float jumped)
+{
+	const float steps = (float)(rotors->age[motor] + 1u), last = rotors->speed[motor];
+	const bool agrees = jumped >= 0.0f && rotors_near(speed, jumped, rotors->room);
+
+	if (rotors->silent >> motor & 1u)
+		return agrees;
+	return rotors_near(speed, last, rotors->usual * steps) ||
+	       (agrees && rotors_near(speed, last, rotors->room * steps));
 }
 
 /* A byte of extended telemetry, or nothing of use. */
@@ -82,34 +97,31 @@ static __attribute__((noinline)) void rotors_take_other(struct rotors *rotors, u
 		rotors->told[motor][kind] = (uint8_t)word;
 		rotors->known[motor] |= (uint8_t)(1u << kind);
 	}
+	rotors->jumped[motor] = NOT_JUMPED;
 	rotors_miss(rotors, motor);
 }
 
 static inline void rotors_take(struct rotors *rotors, unsigned motor, unsigned word)
 {
-	const uint8_t bit = (uint8_t)(1u << motor);
-
 	if (!rotors_tells_speed(word)) {
 		rotors_take_other(rotors, motor, word);
 		return;
 	}
 	const unsigned period = rotors_period_us(word);
-	const float speed = period > 0 ? rotors->turn / (float)period : 0.0f;
-	const bool silent = (rotors->silent & bit) != 0;
-	/* Behind a silence any speed is allowed, and counts once the next word agrees. */
-	const bool first = silent && rotors->age[motor] > 0;
+	const float speed = period > 0 ? rotors->turn / (float)period : 0.0f, jumped = rotors->jumped[motor];
 
-	if (!first && rotors_allows(rotors, motor, speed)) {
-		rotors->silent &= (uint8_t)~bit;
-	} else {
-		++rotors->bad[motor];
-		if (!silent || speed > NF_ROTOR_SPEED_MAX) {
-			rotors_miss(rotors, motor);
+	rotors->jumped[motor] = NOT_JUMPED;
+	if (speed <= NF_ROTOR_SPEED_MAX) {
+		if (rotors_allows(rotors, motor, speed, jumped)) {
+			rotors->silent &= (uint8_t)~(1u << motor);
+			rotors->speed[motor] = speed;
+			rotors->age[motor] = 0;
 			return;
 		}
+		rotors->jumped[motor] = speed;
 	}
-	rotors->speed[motor] = speed;
-	rotors->age[motor] = 0;
+	++rotors->bad[motor];
+	rotors_miss(rotors, motor);
 }
 
 /* A second is over. */

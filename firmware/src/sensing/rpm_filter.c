@@ -4,9 +4,7 @@
 
 #include "common/limit.h"
 #include "common/nf_math.h"
-
-#define HIGHEST_TURNS 0.45f /* of the gyro rate */
-#define FADE_HZ 50.0f       /* above the lowest centre a notch is whole */
+#include "sensing/svf_step.h"
 
 void rpm_filter_init(struct rpm_filter *filter, const struct nf_settings *settings, unsigned gyro_rate_hz)
 {
@@ -17,7 +15,7 @@ void rpm_filter_init(struct rpm_filter *filter, const struct nf_settings *settin
 	filter->damping = 1.0f / settings->rpm_filter_q;
 	filter->turns = 1.0f / (NF_TAU * rate_hz);
 	filter->least = least;
-	filter->fade = rate_hz / FADE_HZ;
+	filter->fade = rate_hz / NF_RPM_FILTER_FADE_HZ;
 	filter->least_gain = nf_sin_turns(0.5f * least) / nf_cos_turns(0.5f * least);
 	for (int motor = 0; motor < POLICY_ACTION_COUNT; ++motor)
 		for (int i = 0; i < RPM_HARMONICS_MAX; ++i)
@@ -30,7 +28,7 @@ static inline void rpm_filter_place(const struct rpm_filter *filter, struct rpm_
 	const float part = (turns - filter->least) * filter->fade;
 
 	notch->depth = 0.0f;
-	if (!(part > 0.0f && turns < HIGHEST_TURNS))
+	if (!(part > 0.0f && turns < NF_RPM_FILTER_HIGHEST))
 		return;
 	notch->svf = svf_at(gain, filter->damping);
 	notch->depth = filter->damping * (part < 1.0f ? part : 1.0f);
@@ -41,7 +39,7 @@ static __attribute__((noinline)) void rpm_filter_move(struct rpm_filter *filter,
 						      unsigned motor)
 {
 	const bool silent = (rotors->silent >> motor & 1u) != 0;
-	const float turns = silent ? 0.0f : limit(rotors->speed[motor] * filter->turns, 0.0f, HIGHEST_TURNS);
+	const float turns = silent ? 0.0f : limit(rotors->speed[motor] * filter->turns, 0.0f, NF_RPM_FILTER_HIGHEST);
 	const float first = nf_sin_turns(0.5f * turns) / nf_cos_turns(0.5f * turns);
 	float multiple = turns, gain = first;
 
@@ -59,15 +57,19 @@ void rpm_filter_step(struct rpm_filter *filter, const struct rotors *rotors, flo
 	rpm_filter_move(filter, rotors, filter->next);
 	filter->next = (uint8_t)(filter->next + 1u == POLICY_ACTION_COUNT ? 0u : filter->next + 1u);
 	float x = rate[0], y = rate[1], z = rate[2];
+	const unsigned harmonics = filter->harmonics;
 
-	for (unsigned motor = 0; motor < POLICY_ACTION_COUNT; ++motor)
-		for (unsigned i = 0; i < filter->harmonics; ++i) {
-			const struct rpm_notch notch = filter->notch[motor][i];
-			struct svf_memory *memory = filter->memory[motor][i];
-			x = svf_notch(&notch.svf, notch.depth, &memory[0], x);
-			y = svf_notch(&notch.svf, notch.depth, &memory[1], y);
-			z = svf_notch(&notch.svf, notch.depth, &memory[2], z);
+	for (unsigned motor = 0; motor < POLICY_ACTION_COUNT; ++motor) {
+		struct rpm_notch *notch = filter->notch[motor];
+
+		for (unsigned left = harmonics; left > 0; --left, ++notch) {
+			const struct svf svf = notch->svf;
+			const float depth = notch->depth;
+			x = svf_notch(&svf, depth, &notch->memory[0], x);
+			y = svf_notch(&svf, depth, &notch->memory[1], y);
+			z = svf_notch(&svf, depth, &notch->memory[2], z);
 		}
+	}
 	rate[0] = x;
 	rate[1] = y;
 	rate[2] = z;

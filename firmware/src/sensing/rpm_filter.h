@@ -15,6 +15,7 @@
 struct rpm_notch {
 	struct svf svf;
 	float depth; /* of the quality's damping what is taken out; 0: nothing */
+	struct svf_memory memory[3];
 };
 
 struct rpm_filter {
@@ -25,7 +26,6 @@ struct rpm_filter {
 	float least, fade; /* turns a sample: the lowest centre; 1 over the width above it in which a notch fades in */
 	float least_gain; /* tan of the lowest centre */
 	struct rpm_notch notch[POLICY_ACTION_COUNT][RPM_HARMONICS_MAX];
-	struct svf_memory memory[POLICY_ACTION_COUNT][RPM_HARMONICS_MAX][3];
 };
 
 /* From the settings rpm_filter_*; off where the ESCs are not asked. */

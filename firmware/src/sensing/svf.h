@@ -14,10 +14,3 @@ struct svf {
 struct svf_memory {
 	float band, low; /* the two integrators */
 };
-
-/* damping: 1 / Q. */
-struct svf svf_at(float gain, float damping);
-
-/* One sample through the section as a low-pass, and as a notch of the same damping. */
-float svf_low_pass(const struct svf *svf, struct svf_memory *memory, float in);
-float svf_notch(const struct svf *svf, float damping, struct svf_memory *memory, float in);

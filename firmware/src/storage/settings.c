@@ -286,20 +286,22 @@ static float settings_slowness(uint32_t kind, float q)
 	}
 }
 
-/* Of the whole chain, for slow motion. A mean that is left to the policy comes with no other filter: it is fast enough. */
+/* Of the whole chain, for slow motion. A mean that is left to the policy comes alone, which is fast enough, or behind the
+ * notches on the rotors' turns, with which it is counted. */
 static float settings_filter_delay_s(const struct nf_settings *settings)
 {
+	const bool notches = settings->motor_telemetry && settings->rpm_filter_harmonics > 0;
 	float delay_s = (float)settings->dynamic_notch_count /
 			(TURN * settings->dynamic_notch_low_hz * settings->dynamic_notch_q);
 
-	for (uint32_t i = 1; settings->motor_telemetry && i <= settings->rpm_filter_harmonics; ++i)
+	for (uint32_t i = 1; notches && i <= settings->rpm_filter_harmonics; ++i)
 		delay_s += (float)POLICY_ACTION_COUNT /
 			   (TURN * (float)i * settings->rpm_filter_min_hz * settings->rpm_filter_q);
 
 	for (unsigned stage = SETTING_AT_filter1_kind; stage < SETTING_AT_dynamic_notch_count; stage += 3)
 		delay_s += settings_slowness(settings_whole(settings, stage), settings_number(settings, stage + 2)) /
 			   (TURN * settings_number(settings, stage + 1));
-	if (settings->gyro_mean == NF_GYRO_MEAN_ON) /* its samples are half of its span old, on average */
+	if (settings->gyro_mean == NF_GYRO_MEAN_ON || notches) /* its samples are half of its span old, on average */
 		delay_s += 0.5f / (float)POLICY_CONTROL_RATE_HZ - 0.5f / (float)settings->gyro_rate_hz;
 	return delay_s;
 }

@@ -108,6 +108,9 @@ FAULTS = {
     "spi-bit-errors": FaultKind(  # share of the bits
         Value(0.001, 1e-9, 1.0), lambda board, rate: setattr(board.hardware.spi, "bit_error_rate", rate)
     ),
+    "gyro-line": FaultKind(  # level that it is stuck at
+        Value(1, 0, 1, whole=True), lambda board, level: setattr(board.hardware.spi, "stuck", int(level))
+    ),
     "brown-out": FaultKind(begin=lambda board, _: board.brown_out()),
     "reset": FaultKind(begin=lambda board, _: board.engine.system_reset("pin")),
     "flash-cut": FaultKind(Value(1, 1, 1_000_000, whole=True), _cut),  # number of the operation from then on

@@ -28,12 +28,17 @@ AM32 and Bluejay find speed and rest level out when they start; others are set t
 Its answer to a bidirectional frame begins about 30 us after it: 16 bits (12 of the word, 4 of its inverted
 checksum), each nibble as five bits (GCR), after a 0 that begins it; a 1 changes the line's level, a bit lasts
 4/5 of the frame's. C sends `Esc.answer`; what spoils it can be set beside.
+
+Extended telemetry comes once it was commanded: AM32 (Src/dshot.c, `computeDshotDMA`) and Bluejay
+(src/Modules/DShot.asm, `dshot_cmd_check_count`) want command 13 six times in a row while the motor stands,
+and answer the next frame with state 0 (0xE00). AM32 then sends each 41st answer a current, about each 200th
+a temperature and a voltage; here each 41st is one of what `Esc.tell` was given, in turn.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NoReturn
@@ -41,6 +46,7 @@ from typing import Any, NoReturn
 from neuroflight.sim.board.core.context import TIME_HZ, Kept
 from neuroflight.sim.board.native.library import Native
 from neuroflight.toolchain.boards.facts import Pin
+from neuroflight.toolchain.contract import EscTold
 
 PROTOCOLS = {150: 150_000, 300: 300_000, 600: 600_000}  # bits a second
 TOLERANCE = 0.05  # of a bit's time; of its place among the others
@@ -146,6 +152,19 @@ class Esc(Kept):
         """Answers that it has sent, or begun to."""
         return int(self._in_c.answers)
 
+    @property
+    def extended(self) -> bool:
+        """True if it was commanded to send extended telemetry."""
+        return bool(self._in_c.extended)
+
+    def tell(self, told: Mapping[EscTold, int]) -> None:
+        """Let it send these bytes as extended telemetry, once it is commanded to."""
+        for kind, byte in told.items():
+            if not 0 <= byte < 1 << 8:
+                raise ValueError(f"{kind.name}, what an ESC tells, is {byte}, expected 8 bits")
+            self._in_c.told[kind] = 2 * (kind + 1) << 8 | byte
+        self._in_c.kinds = sum(1 << kind for kind in told)
+
     def spoil(self, faults: AnswerFaults) -> None:
         """Spoil its answers from the next one on."""
         state, lib = self._in_c, self._native.library
@@ -189,6 +208,7 @@ class Esc(Kept):
         state.rest_since = -TIME_HZ
         if forget:
             self.protocol, state.inverted, state.last = None, False, NO_FRAME
+            state.asked, state.extended = 0, False
 
     def inspect(self, now: int) -> None:
         """Fail if a frame has broken off, which the next edge would show."""

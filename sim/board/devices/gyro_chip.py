@@ -87,6 +87,23 @@ class GyroKind:
         """Take over a value that `known` allows."""
         chip.registers[register] = value
 
+    def listens(self, registers: Registers) -> bool:
+        """Return whether a transaction that begins is for it; one that is not may wake it (`wake`)."""
+        return True
+
+    def wake(self, registers: Registers) -> None:
+        """Take over that a transaction has begun which it did not listen to."""
+
+    def window(self) -> range:
+        """Return the addresses of its data and of the status beside them, which are read together."""
+        status = self.status_at()
+        ends = (self.data, self.data + DATA_BYTES - 1, *(() if status is None else (status,)))
+        return range(min(ends), max(ends) + 1)
+
+    def stays(self, register: int) -> bool:
+        """Return whether all bytes of a transaction go to this register, none to those behind it."""
+        return False
+
     def setup(self, chip: GyroChip) -> Setup:
         """Return what the registers mean for samples; fails where the data sheet forbids to sample so."""
         raise NotImplementedError
@@ -98,7 +115,7 @@ class GyroChip(Kept):
     C takes the samples and answers plain reads of data; this class answers for all other registers.
     """
 
-    kept = ("registers", "_ready_why", "_powered_at", "_dummies", "quiet_until")
+    kept = ("registers", "_ready_why", "_powered_at", "_deaf", "quiet_until")
 
     def __init__(self, native: Native, pins: Pins, where: GyroPlace, kind: GyroKind) -> None:
         self.engine, self.kind = native.engine, kind
@@ -113,6 +130,7 @@ class GyroChip(Kept):
         alarms = (self._sample_alarm.number, self._fall_alarm.number)
         self._in_c = native.library.native_gyro(native.handle, *alarms, kind.pulse, float(kind.data_hz))
         self._in_c.data_at, self._in_c.order, self._in_c.little = kind.data, list(kind.order), kind.little
+        self._in_c.ready_bit, self._in_c.dummies = kind.ready_bit, kind.dummies
         native.on_exchange = self._exchange
         self._measured = memoryview(native.ffi.buffer(self._in_c.measured))
         self._no_address = native.library.NO_ADDRESS
@@ -130,7 +148,11 @@ class GyroChip(Kept):
             self._pins.drive(str(self._where.ready), False)
 
     def processor_reset(self) -> None:
-        """Restore the alarms after a reset of the processor, during which the chip continues."""
+        """Restore the alarms after a reset of the processor, during which the chip continues.
+
+        A transaction that was under way has ended wherever it was.
+        """
+        self._in_c.address = self._no_address
         self._fall_alarm.cancel()
         self._lower_ready()
         if self.next_sample is not None:
@@ -151,7 +173,8 @@ class GyroChip(Kept):
         state.ready_at = self._powered_at + self.kind.start_ms * _MILLISECOND
         self._ready_why = "power-up"
         state.address, state.reads = self._no_address, False
-        self._dummies = 0  # that are left of a read
+        state.dummies_left = 0
+        self._deaf = False  # to the transaction that is under way
         state.shadow = bytes(DATA_BYTES)
         self._clear()
 
@@ -200,6 +223,13 @@ class GyroChip(Kept):
         due = int(self._in_c.due)
         return None if due == NEVER else due
 
+    def begin_at(self, cycle: int, slower: float = 1.0) -> None:
+        """Let its next sample come at that cycle, as its clock is its own, and periods be so much longer."""
+        if self.next_sample is not None:
+            self._in_c.period = round(self._in_c.period * slower)
+            self._in_c.due = cycle
+            self._sample_alarm.set(cycle)
+
     # For its kind
 
     def fail(self, what: str) -> None:
@@ -212,8 +242,12 @@ class GyroChip(Kept):
     def reset(self, ms: float) -> None:
         """Reset it, which takes so long; then it must not be addressed."""
         self._clear()
+        self.rest_for(ms, "its reset")
+
+    def rest_for(self, ms: float, why: str) -> None:
+        """Let nobody address it for so long. why: "its reset"."""
         self._in_c.ready_at = self.engine.cycle + round(ms * _MILLISECOND)
-        self._ready_why = "its reset"
+        self._ready_why = why
 
     # On the bus
 
@@ -233,16 +267,24 @@ class GyroChip(Kept):
         address = int(state.address)
         if address == self._no_address:
             state.address, state.reads = value & ~_READ, bool(value & _READ)
+            state.first = state.address
             state.shadow = bytes(state.data)
-            self._dummies = self.kind.dummies if state.reads else 0
+            state.dummies_left = self.kind.dummies if state.reads else 0
+            self._deaf = not self.kind.listens(self.registers)
+            if self._deaf:
+                self.kind.wake(self.registers)
+                self._hide()
             self._validate_time()
             self._validate_clock(hz)
             return 0
         self._validate_clock(hz)
-        if self._dummies:
-            self._dummies -= 1
+        if self._deaf:
             return 0
-        state.address = address + 1 & 0x7F
+        if state.dummies_left:
+            state.dummies_left -= 1
+            return 0
+        if state.reads or not self.kind.stays(address):
+            state.address = address + 1 & 0x7F
         if state.reads:
             return self._read(address)
         self._write(address, value)
@@ -251,7 +293,7 @@ class GyroChip(Kept):
     def _validate_end(self) -> None:
         """Check at the end of a transaction that it has read whole values."""
         address = int(self._in_c.address)
-        if not self._in_c.reads or address == self._no_address or self._in_c.hidden:
+        if not self._in_c.reads or address in (self._no_address, self._in_c.first) or self._in_c.hidden:
             return
         count = address - self.kind.data
         if count & 1 and 0 < count < DATA_BYTES:
@@ -316,9 +358,23 @@ class GyroChip(Kept):
         self._plan()
 
     def _hide(self) -> None:
-        """Tell C whether it can answer reads of the data."""
-        kind = self.kind
-        self._in_c.hidden = kind.dummies > 0 or kind.place(self.registers, kind.data) != kind.data
+        """Tell C whether it can answer reads of the data, and what it says there."""
+        kind, state, registers = self.kind, self._in_c, self.registers
+        state.hidden = not kind.listens(registers) or kind.place(registers, kind.data) != kind.data
+        if not state.hidden:
+            entries = [self._entry(address) for address in kind.window()]
+            state.window_at, state.window_count = kind.window().start, len(entries)
+            state.window[0 : len(entries)] = entries
+
+    def _entry(self, address: int) -> int:
+        kind, lib = self.kind, self._native.library
+        register = kind.place(self.registers, address)
+        if kind.data <= register < kind.data + DATA_BYTES:
+            return register - kind.data
+        if register == kind.status_at():
+            return int(lib.GYRO_STATUS)
+        told = kind.told(register)
+        return int(lib.GYRO_VALUE) | (self.registers[register] if told is None else told)
 
     def _plan(self) -> None:
         """Take over changed registers."""

@@ -68,6 +68,7 @@ _WHILE_ON = {REG_BANK_SEL, DEVICE_CONFIG, PWR_MGMT0, GYRO_CONFIG0, ACCEL_CONFIG0
 _ODR_HZ = {1: 32_000, 2: 16_000, 3: 8000, 4: 4000, 5: 2000, 6: 1000, 7: 200, 8: 100, 15: 500}
 _FAST_HZ = 4000  # from here on INT1 needs the short pulse without a dead time
 _ON = 3  # GYRO_MODE and ACCEL_MODE of low noise
+_TIMESTAMP = (0x2B, 0x2C)  # between data and INT_STATUS; off
 # Rows of the anti-alias filter's table: DELT, DELTSQR, BITSHIFT.
 _FILTERS = {
     *((1, 1, 15), (2, 4, 13), (3, 9, 12), (4, 16, 11), (5, 25, 10), (6, 36, 10), (7, 49, 9), (8, 64, 9)),
@@ -96,6 +97,9 @@ class IcmKind(GyroKind):
 
     def known(self, register: int) -> int | None:
         return _KNOWN.get(register)
+
+    def told(self, register: int) -> int | None:
+        return 0 if register in _TIMESTAMP else super().told(register)
 
     def status_at(self) -> int | None:
         return INT_STATUS

@@ -14,7 +14,8 @@ from neuroflight.sim.board.devices.gyro_chip import MICROSECOND, GyroChip, GyroK
 
 IF_CFG, INT1_CTRL, WHO_AM_I, CTRL1, CTRL2, CTRL3, CTRL4 = 0x03, 0x0D, 0x0F, 0x10, 0x11, 0x12, 0x13
 CTRL6, CTRL7, CTRL8, CTRL9, STATUS_REG, OUT_TEMP_L, HAODR_CFG = 0x15, 0x16, 0x17, 0x18, 0x1E, 0x20, 0x62
-_SILENT = (0x00, 0x75, 0x76)  # where other makers' chips tell what they are, and in which bank: nothing
+# Where other makers' chips tell what they are, and in which bank; between STATUS_REG and the data.
+_SILENT = (0x00, 0x75, 0x76, 0x1F)
 
 _KNOWN = {  # bits that the image may write
     IF_CFG: 0x19,
@@ -50,6 +51,7 @@ class LsmKind(GyroKind):
     pulse: int = 65 * MICROSECOND
     little: bool = True
     gyro_scale: tuple[int, int] = (100, 7)  # 70 mdeg/s a count
+    ready_bit: int = 0x02  # GDA; a read of the gyro clears it, here the read of STATUS_REG before it
 
     def after_reset(self) -> Registers:
         return {**dict.fromkeys(_KNOWN, 0), CTRL3: 0x44}
@@ -59,6 +61,9 @@ class LsmKind(GyroKind):
 
     def told(self, register: int) -> int | None:
         return 0 if register in _SILENT else super().told(register)
+
+    def status_at(self) -> int | None:
+        return STATUS_REG
 
     def write(self, chip: GyroChip, register: int, value: int) -> None:
         registers = chip.registers

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from neuroflight.toolchain.contract import (
     ACCEL_COUNTS,
     ACCEL_FULL_SCALE_G,
@@ -49,6 +52,23 @@ def gyro_counts(
 def accel_counts(force: Sequence[float], alignment: Alignment) -> Counts:
     """Compute the chip's counts at +-16 g of specific force (3,) [m/s^2], body axes."""
     return _mounted(force, alignment, _PER_FORCE)
+
+
+def board_axes(turn_deg: Sequence[float]) -> NDArray[np.float64]:
+    """Return the axes of a turned board in the body's, (3, 3), as columns.
+
+    turn_deg: roll, pitch, yaw. The board lies flat with its arrow forward, is turned by yaw (clockwise seen
+    from above), then its arrow is raised by pitch, then its left side lowered by roll, each about its own
+    axes: Betaflight's align_board_*, whose buildRotationMatrix was compiled and agrees.
+    """
+    roll, pitch, yaw = (math.radians(angle) for angle in turn_deg)
+    axes = np.eye(3)
+    for angle, i, j in ((yaw, 0, 1), (pitch, 2, 0), (roll, 1, 2)):  # turns axis i towards the back of axis j
+        turned = axes.copy()
+        turned[:, i] = math.cos(angle) * axes[:, i] - math.sin(angle) * axes[:, j]
+        turned[:, j] = math.sin(angle) * axes[:, i] + math.cos(angle) * axes[:, j]
+        axes = turned
+    return axes
 
 
 def _mounted(vector: Sequence[float], alignment: Alignment, scale: float) -> Counts:

@@ -31,6 +31,6 @@ REQUESTS: dict[tuple[int, int, int], tuple[str, ...]] = {
 
 
 def serves(source: str, peripheral: str) -> bool:
-    """Return True if request `source` may move data of `peripheral`, or a timer's data of pins."""
+    """Return True if request `source` may move data of `peripheral`; a timer's, here, of ports alone."""
     owner = source.split("_")[0]
-    return owner == peripheral or (owner.startswith("TIM") and peripheral.startswith("GPIO"))
+    return peripheral.startswith("GPIO") if owner.startswith("TIM") else owner == peripheral

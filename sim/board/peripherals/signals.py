@@ -35,12 +35,6 @@ FUNCTIONS: dict[str, dict[str, int]] = {
     "USART6_RX": {"PC7": 8},
     "OTG_FS_DM": {"PA11": 10},
     "OTG_FS_DP": {"PA12": 10},
-    "TIM1_CH1": {"PA8": 1},
-    "TIM2_CH1": {"PA15": 1},
-    "TIM3_CH4": {"PB1": 2},
-    "TIM4_CH3": {"PB8": 2},
-    "TIM5_CH3": {"PA2": 2},
-    **{f"TIM8_CH{i}": {f"PC{5 + i}": 3} for i in range(1, 5)},
     # Of the converter (data sheet, pin definitions).
     **{f"ADC1_IN{i}": {f"PA{i}": ANALOG} for i in range(8)},
     **{f"ADC1_IN{8 + i}": {f"PB{i}": ANALOG} for i in range(2)},
@@ -74,10 +68,6 @@ def board_signals(board: Board) -> Signals:
     for pin in (board.volts, board.amps):
         if pin is not None and str(pin) in CONVERTED:
             found[f"ADC1_IN{CONVERTED[str(pin)]}"] = pin
-    motors = {str(pin) for pin in board.motors}
-    for name, places in FUNCTIONS.items():
-        if name.startswith("TIM") and (used := motors & set(places)):
-            found[name] = Pin.of(*used)
     return {
         name: (pin, FUNCTIONS[name][str(pin)])
         for name, pin in found.items()

@@ -51,14 +51,14 @@ class Spi(NativeDevice):
 
 
 class GyroSpi(Spi):
-    """The SPI behind which C finds the gyro chip, and bit errors on what it receives from there."""
+    """The SPI behind which C finds the gyro chip, and faults of the bits that it receives from there."""
 
-    kept = ("_random", "bit_error_rate")
+    kept = ("_random", "bit_error_rate", "stuck")
 
     def __init__(self, native: Native, name: str, pins: Pins, seed: int = 0) -> None:
         super().__init__(native, name, pins)
         self._random = random.Random(seed)
-        self._bit_error_rate = 0.0
+        self._bit_error_rate, self._stuck = 0.0, -1
         native.on_errors = self._with_errors
 
     @property
@@ -69,9 +69,26 @@ class GyroSpi(Spi):
     @bit_error_rate.setter
     def bit_error_rate(self, rate: float) -> None:
         self._bit_error_rate = rate
-        self.native.library.native_bit_errors(self.native.handle, rate > 0.0)
+        self._tell()
+
+    @property
+    def stuck(self) -> int:
+        """Level of a line from the chip that has come off or is shorted, likewise; -1: none such."""
+        return self._stuck
+
+    @stuck.setter
+    def stuck(self, level: int) -> None:
+        self._stuck = level
+        self._tell()
+
+    def _tell(self) -> None:
+        self.native.library.native_bit_errors(
+            self.native.handle, self._bit_error_rate > 0.0 or self._stuck >= 0
+        )
 
     def _with_errors(self, received: bytes) -> bytes:
+        if self._stuck >= 0:
+            return bytes([0xFF * self._stuck] * len(received))
         return bytes(
             byte ^ sum((self._random.random() < self._bit_error_rate) << bit for bit in range(8))
             for byte in received

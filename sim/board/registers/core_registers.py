@@ -37,7 +37,7 @@ _STATED: tuple[tuple[str, str, int, str, int | None, str, str], ...] = (
         ("NVIC_IPR", str(i), 0xE000E400 + 4 * i, "rw", 0, "ARMv7-M B3.4.9", "")
         for i in (2, 14, 15, 17)  # of interrupts 9, 58, 60 and 69
     ),
-    ("SCB_ICSR", "", 0xE000ED04, "rw", 0, "ARMv7-M B3.2.4", "VECTACTIVE@0+9"),
+    ("SCB_ICSR", "", 0xE000ED04, "rw", 0, "ARMv7-M B3.2.4", "VECTACTIVE@0+9 PENDSVSET@28"),
     ("SCB_VTOR", "", 0xE000ED08, "rw", None, "ARMv7-M B3.2.5", ""),
     ("SCB_AIRCR", "", 0xE000ED0C, "rw", 0xFA050000, "ARMv7-M B3.2.6", "SYSRESETREQ@2 VECTKEY@16+16"),
     (

@@ -22,12 +22,12 @@ from neuroflight.sim.board.board import Board
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.gyro_mount import accel_counts, gyro_counts
 from neuroflight.sim.board.devices.log_place import LogChip
-from neuroflight.sim.board.fitted import FULL_VOLTS, GYRO, MATEKF722, Gyro
+from neuroflight.sim.board.fitted import FULL_VOLTS, GYRO, MATEKF722, Gyro, image_lines
 from neuroflight.sim.board.peripherals.signals import uart_name
 from neuroflight.sim.board.peripherals.usart import Format
 from neuroflight.sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
+from neuroflight.sim.board.serial.usb_peer import UsbPeer, plug
 from neuroflight.toolchain.boards import facts
-from neuroflight.toolchain.boards.allocation import allocate
 from neuroflight.toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BANK_B,
@@ -83,9 +83,11 @@ class IdleBoard:
             newly_installed=newly_installed,
             watchdog_resets=watchdog_resets,
         )
-        number = allocate(wiring).msp
-        self.msp_uart = MSP_UART if number is None else uart_name(number)
+        self._msp = image_lines(flash, wiring).msp
+        self.msp_uart = MSP_UART if self._msp is None else uart_name(self._msp)
         self._alignment, self._temperature = gyro.alignment, gyro.chip.temperature(TEMPERATURE_DEG_C)
+        up = np.array((0.0, 0.0, GRAVITY))
+        self._gravity = (up if gyro.to_board is None else gyro.to_board @ up).tolist()
         self.board.hardware.adc.set_battery(volts, 0.0)
         self.run_core = self.board.run_to  # to a cycle; a debugger may stand in for it
         self._rng = np.random.default_rng(seed)
@@ -108,7 +110,13 @@ class IdleBoard:
             self.run_to(self.board.cycle + STEP)
 
     def client(self, baud: float = MSP_BAUD_DEFAULT, uart: str | None = None) -> Client:
-        """Open an MSP client on the other end of `uart`, by default the first, in lockstep with the board."""
+        """Open an MSP client on the other end of `uart`, in lockstep with the board.
+
+        By default the UART that speaks MSP, and USB where none does.
+        """
+        if uart is None and self._msp is None:
+            self.board.hardware.usb_host.unplug()
+            return UsbPeer(self, plug(self)).client()
         transport = LineTransport(UartLine(self.board, uart or self.msp_uart, Format(baud)), self.run_to)
         return Client(transport, transport.clock)
 
@@ -123,8 +131,9 @@ class IdleBoard:
             scale = [GYRO_NOISE] * 3 + [ACCEL_NOISE] * 3
             self._noise = self._rng.normal(0.0, scale, (NOISE_STEPS, 6))
         (*rate, x, y, z), self._noise = self._noise[0].tolist(), self._noise[1:]
+        force = [noise + gravity for noise, gravity in zip((x, y, z), self._gravity, strict=True)]
         self.board.hardware.gyro.measure(
-            accel_counts((x, y, z + GRAVITY), self._alignment),
+            accel_counts(force, self._alignment),
             self._temperature,
             gyro_counts(rate, self._alignment, self.board.hardware.gyro.kind.gyro_scale),
         )

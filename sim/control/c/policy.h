@@ -1,2 +1,2 @@
-/* Stands where the firmware has the header of its policy: a PID asks it for the number of motors, POLICY_ACTION_COUNT, which the
- * build of this library says. */
+/* Stands where the firmware has the header of its policy: PID and filters ask it for the number of motors,
+ * POLICY_ACTION_COUNT, which the build of this library says. */

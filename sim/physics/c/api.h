@@ -150,10 +150,12 @@ struct sensor {
 	double turn[9];          /* rows times it: the body's axes to the chip's */
 	double follow;           /* share of the way to its input that the low-pass goes in a sample */
 	double noise[3];         /* standard deviation */
-	double amplitude[3];     /* of the vibration by one rotor at speed_max */
+	double amplitude[3];     /* of the vibration by one rotor at speed_max, over that of the worst axis */
+	double harmonics[2];     /* of it at 2 and 3 times the turns, for 1 at the turns */
 	double speed_max;        /* [rad/s] */
 	double full_scale;
 	const double *factor;    /* (N), of noise */
+	const double *shake;     /* (N), vibration of the worst axis */
 	double *bias, *lagged;   /* (N, 3) */
 	bool *fresh;             /* (N), whose low-pass starts at its next input */
 	double *draws;           /* (N, 3) */

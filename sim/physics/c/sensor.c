@@ -7,9 +7,20 @@
 /* Phase between axes of the vibration [rad]: an unbalanced rotor shakes across its own axis in a circle. */
 static const double vibration_phase[3] = {0.0, PI / 2.0, PI / 4.0};
 
+/* What shakes at multiples of a rotor's turns: blades that pass an arm, a bent shaft. */
+static double sensor_multiples(const struct sensor *s, double phase, double axis)
+{
+	double sum = 0.0;
+
+	for (int i = 0; i < 2; ++i)
+		if (s->harmonics[i] != 0.0)
+			sum = fma(s->harmonics[i], sin((i + 2) * phase + axis), sum);
+	return sum;
+}
+
 /* An unbalance pulls with the square of the speed. */
-static void sensor_vibrate(const struct sensor *s, uint32_t motors, const double *phase, const double *speed,
-			   double *reading)
+static void sensor_vibrate(const struct sensor *s, double shake, uint32_t motors, const double *phase,
+			   const double *speed, double *reading)
 {
 	for (size_t j = 0; j < 3; ++j) {
 		double sum = 0.0;
@@ -17,9 +28,10 @@ static void sensor_vibrate(const struct sensor *s, uint32_t motors, const double
 		for (uint32_t m = 0; m < motors; ++m) {
 			const double strength = speed[m] / s->speed_max;
 
-			sum = fma(strength * strength, sin(phase[m] + vibration_phase[j]), sum);
+			const double multiples = sensor_multiples(s, phase[m], vibration_phase[j]);
+			sum = fma(strength * strength, sin(phase[m] + vibration_phase[j]) + multiples, sum);
 		}
-		reading[j] += sum * s->amplitude[j];
+		reading[j] += sum * (s->amplitude[j] * shake);
 	}
 }
 
@@ -57,7 +69,7 @@ void sensor_read(struct sensor *s, size_t count, const int64_t *which, const dou
 
 		sensor_read_one(s, i, s->draws + 3u * k, value + 3u * i, read);
 		if (s->vibrates)
-			sensor_vibrate(s, motors, phase + i * motors, speed + i * motors, read);
+			sensor_vibrate(s, s->shake[i], motors, phase + i * motors, speed + i * motors, read);
 		for (size_t j = 0; s->saturates && j < 3; ++j)
 			read[j] = fmin(fmax(read[j], -s->full_scale), s->full_scale);
 	}

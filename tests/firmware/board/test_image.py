@@ -33,7 +33,7 @@ KIB = 1024
 NULL_PAGE = 512  # bytes at the start of ITCM that the MPU closes
 POLICY_POINTERS = 16  # bytes of struct policy beside its floats, at most
 SYSTEM_VECTORS = 16
-TICK_VECTOR = 15
+LATER_VECTOR, TICK_VECTOR = 14, 15
 # DMA streams by which an SPI's receiver may come, but for those that the motors' ports need (RM0431 8.3.3).
 GYRO_READS = ("DMA1_STREAM0", "DMA1_STREAM2", "DMA1_STREAM3", "DMA2_STREAM0", "DMA2_STREAM2")
 HOT = (
@@ -55,7 +55,7 @@ HOT = (
         "gyro_step",
         "observation_step",
     ),
-    *("policy_step", "mixer_mix", "dshot_value", "dshot_frame", "motors_write", "memcpy", "gyro_tick"),
+    *("policy_step", "mixer_mix", "dshot_value", "dshot_frames", "motors_write", "memcpy", "gyro_tick"),
     *("receiver_line_read", "hal_deadline_missed"),
 )
 WHILE_FLASH_IS_BUSY = ("flash_memory_erase_sector", "flash_memory_program_words", "core_clean_caches")
@@ -143,14 +143,15 @@ def test_every_vector_points_at_code_when_the_bank_starts(elf: ELFFile, symbols:
     code = allocated(elf, SH_FLAGS.SHF_EXECINSTR).values()
     own = {
         1: "reset_handler",
+        LATER_VECTOR: "motors_answers_handler",
         TICK_VECTOR: "tick_handler",
         **{
             SYSTEM_VECTORS + n: "gyro_edge_handler"
             for name, n in interrupts.items()
-            if name.startswith("EXTI")
+            if name.startswith("EXTI") or name == "TIM5"
         },
         **{SYSTEM_VECTORS + interrupts[name]: "gyro_sample_handler" for name in GYRO_READS},
-        **{SYSTEM_VECTORS + interrupts[f"DMA2_STREAM{n}"]: "motors_sent_handler" for n in (1, 3, 4, 6)},
+        **{SYSTEM_VECTORS + interrupts[f"DMA2_STREAM{n}"]: "motors_moved_handler" for n in (1, 3, 4, 6)},
     }
     assert allocated(elf)[".vectors"].address == FLASH_BANK_A.address
     assert symbols["fast_vectors"] % 512 == 0  # of 120 vectors (ARMv7-M B3.2.5)

@@ -15,6 +15,7 @@ SCRATCH = 0x2000F000  # DTCM that the image does not use
 DSHOT300, DSHOT600, DSHOT150 = 0, 1, 2  # the setting motor_protocol
 BITS, REST, ANSWERED_REST = 16, 6, 2  # of a frame; words behind it
 TIM1, DMA2 = 0x40010000, 0x40026400
+ICSR, PENDSVSET = 0xE000ED04, 1 << 28
 CR1, DIER, ARR = 0x00, 0x0C, 0x2C
 MODER, IDR, BSRR, PUPDR, OSPEEDR = 0x00, 0x10, 0x18, 0x0C, 0x08
 IN_SRAM2 = range(0x2003C000, 0x20040000)
@@ -67,7 +68,14 @@ class Motors:
     def sent(self) -> None:
         """A frame that is answered has ended."""
         self.finish()
-        self.sketch.call(self.symbols["motors_sent_handler"])
+        self.moved()
+
+    def moved(self) -> None:
+        """A stream tells that it has moved all; what it then has done later, is."""
+        self.sketch.poke(ICSR, 0)
+        self.sketch.call(self.symbols["motors_moved_handler"])
+        if self.sketch.peek(ICSR) == PENDSVSET:
+            self.sketch.call(self.symbols["motors_answers_handler"])
 
     def answered(self, words: dict[int, int]) -> None:
         """The lines of these motors have been sampled, each with these 16 bits; the others rested."""
@@ -82,6 +90,7 @@ class Motors:
                     ]
             self.sketch.uc.mem_write(self.stream(port, 12), struct.pack(f"<{count}H", *samples))
         self.finish()
+        self.moved()
 
     def pulses(self, motor: int, rest: bool = False) -> list[int]:
         """How many thirds of a bit the line will be away from its rest level, bit by bit."""
@@ -147,6 +156,27 @@ def test_a_frame_carries_value_and_checksum_bit_by_bit_when_six_motors_are_writt
     assert board.timer(ARR) == ticks - 1 and board.timer(DIER) == REQUESTS and board.timer(CR1) == 1
     assert board.sketch.field("TIM_CR2", "CCDS", "TIM1") == 1, "all ask at the update"
     assert board.modes() == [1] * 6 and board.sketch.sins == []
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_a_port_carries_the_frames_of_motors_of_both_fours(
+    answered: bool, make_booted: Callable[[], Any], symbols: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Motor 5 on PC10, beside motors 1 to 4."""
+    board = make_booted()
+    table = bytes(board.uc.mem_read(symbols["board"], 156))
+    at = table.index(bytes((ord(port) - ord("A")) << 4 | pin for port, pin in PINS))
+    board.uc.mem_write(symbols["board"] + at + 4, bytes([0x2A]))
+    monkeypatch.setitem(globals(), "PINS", (*PINS[:4], ("C", 10), PINS[5]))
+    motors = Motors(board, symbols, DSHOT600, answered, 6)
+    for values in ((48, 1046, 2047, 0, 1000, 47), (2047, 0, 1, 1365, 682, 2046)):
+        assert motors.write(*values)
+        told = [motors.pulses(motor, rest=answered) for motor in range(6)]
+        assert told == [frame_of(value, answered=answered) for value in values]
+        motors.finish()
+        if answered:
+            motors.sent()
+            motors.finish()
 
 
 def test_all_ports_begin_at_the_same_update(motors: Callable[..., Motors]) -> None:
@@ -251,6 +281,7 @@ def test_after_a_frame_the_pins_listen_for_as_long_as_an_answer_takes(
     assert board.stream("C", 4) == 3 * BITS + ANSWERED_REST
     board.sent()
     assert board.modes() == [0] * 6 and board.moving() == [True] * 3
+    assert board.stream("C", 0) >> 4 & 1 == 1, "so is theirs"
     assert board.timer(ARR) == ticks - 1 and board.timer(DIER) == REQUESTS
     for port, (address, _) in PORTS.items():
         assert board.stream(port, 8) == address + IDR and board.stream(port, 4) == samples
@@ -297,7 +328,9 @@ def test_a_frame_whose_end_or_answers_never_come_is_followed_by_others(motors: C
             board.finish()  # but no interrupt comes
         assert [board.write(*[0] * 6) for _ in range(4)] == [False] * 4
         assert board.read() == [ESC_SILENT] * 8, "what was known of the rotors is old"
-        board.sketch.call(board.symbols["motors_sent_handler"])  # of the stream that was ended
+        board.moved()  # of the stream that was ended
+        board.sketch.call(board.symbols["motors_answers_handler"])  # which may have waited since before
+        assert board.read() == [ESC_SILENT] * 8
         assert board.moving() == [False] * 3
     assert board.sketch.call_with(board.symbols["motors_restarts"], 0) == 2
     assert board.write(*[0] * 6) and board.moving() == [True] * 3
@@ -307,5 +340,5 @@ def test_nobody_listens_while_another_port_still_sends(motors: Callable[..., Mot
     board = motors(DSHOT600, 6, telemetry=True)
     board.write(*[0] * 6)
     board.finish("C", "A")
-    board.sketch.call(board.symbols["motors_sent_handler"])
+    board.moved()
     assert board.modes() == [1] * 6 and board.stream("C", 8) == PORTS["C"][0] + BSRR

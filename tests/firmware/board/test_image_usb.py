@@ -15,12 +15,12 @@ from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from neuroflight.sim.board.devices.sd_card import SdCard
 from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.sim.board.serial.usb_peer import DATA_IN, DATA_OUT, Idle, UsbPeer, finish, plug, run
 from neuroflight.sim.board.usb.enumeration import Description, complete, enumerate_device, transfer_to
 from neuroflight.sim.board.usb.enumeration import request as ask
 from neuroflight.sim.board.usb.host import IN, Status
 from neuroflight.toolchain.contract import MOTOR_TEST_MAGIC, ArmingReason, Msp, Reboot, Refusal
 from neuroflight.toolchain.image.elf import read_flashable
-from tests.firmware.board.usb_peer import DATA_IN, DATA_OUT, UsbPeer, finish, plug, run
 from tests.firmware.storage.card.images import make_image
 
 MOTORS = 4
@@ -98,7 +98,7 @@ def locked(client: Client) -> bool:
     return bool(records.safety(client.request(Msp.SAFETY)).arming_flags >> ArmingReason.MSP & 1)
 
 
-def turning(idle: IdleBoard) -> bool:
+def turning(idle: Idle) -> bool:
     return bool(max(idle.board.hardware.obeyed(MOTORS)) > 47)
 
 

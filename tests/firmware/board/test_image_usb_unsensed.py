@@ -14,6 +14,7 @@ from neuroflight.flash.rom.segments import content_of, read_segments
 from neuroflight.sim.board.core.context import TIME_HZ
 from neuroflight.sim.board.devices.sd_card import SdCard
 from neuroflight.sim.board.serial.idle_board import IdleBoard
+from neuroflight.sim.board.serial.usb_peer import UsbPeer, plug, run
 from neuroflight.sim.board.usb.enumeration import complete, enumerate_device
 from neuroflight.toolchain.boards.allocation import allocate
 from neuroflight.toolchain.boards.description import pack
@@ -21,7 +22,6 @@ from neuroflight.toolchain.boards.table import find_board
 from neuroflight.toolchain.contract import MOTOR_TEST_MAGIC, Msp, Reboot, Refusal
 from neuroflight.toolchain.image.elf import FLASH
 from neuroflight.toolchain.image.stamp import stamp
-from tests.firmware.board.usb_peer import UsbPeer, plug, run
 from tests.firmware.storage.card.images import make_image
 
 BOARD = find_board("NERO")  # with a card

@@ -29,21 +29,22 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 	const unsigned low = input_byte(&input), lines = low | input_byte(&input) << 8, earliest = input_byte(&input);
 	size_t bytes = input.left / 4 * 4;
 	uint16_t words[DSHOT_PORT_LINES], alone[DSHOT_PORT_LINES];
+	int16_t learned[DSHOT_PORT_LINES] = { 0 }, before[DSHOT_PORT_LINES] = { 0 };
 
 	if (bytes == 0 || bytes > 4 * 0x7FFF)
 		return 0;
 	uint8_t *const samples = input_bytes(&input, &bytes);
 	for (unsigned line = 0; line < DSHOT_PORT_LINES; ++line)
 		words[line] = alone[line] = UNTOUCHED;
-	dshot_telemetry_decode((const uint32_t *)(void *)samples, bytes / 4, earliest, lines, words);
+	dshot_telemetry_decode((const uint32_t *)(void *)samples, bytes / 4, earliest, lines, learned, words);
 	for (unsigned line = 0; line < DSHOT_PORT_LINES; ++line) {
 		if ((lines >> line & 1u) == 0) {
 			PROMISE(words[line] == UNTOUCHED);
 			continue;
 		}
 		look((const uint16_t *)(void *)samples, bytes / 2, line, words[line]);
-		dshot_telemetry_decode((const uint32_t *)(void *)samples, bytes / 4, earliest, 1u << line, alone);
-		PROMISE(alone[line] == words[line]); /* the others make no difference */
+		dshot_telemetry_decode((const uint32_t *)(void *)samples, bytes / 4, earliest, 1u << line, before, alone);
+		PROMISE(alone[line] == words[line] && before[line] == learned[line]); /* the others make no difference */
 	}
 	free(samples);
 	return 0;

@@ -37,7 +37,7 @@ class Board:
     made_of: Any = None  # the flash
 
     def __init__(
-        self, core: Any, flash: Any, alignment: int = 0, controller: float = 0.0, **board: bool
+        self, core: Any, flash: Any, alignment: int = 0, controller: float = 0.0, **board: object
     ) -> None:
         """Start it.
 
@@ -129,6 +129,15 @@ def test_nothing_is_held_when_the_board_is_as_it_should_be(board: Make) -> None:
 
 def test_it_does_not_arm_when_no_crystal_makes_the_clock(board: Make) -> None:
     assert board(clock_inexact=True, real_time=True).run(1200) == {ArmingReason.CLOCK}
+
+
+def test_it_arms_with_the_turn_of_the_board_that_its_maker_sets(board: Make, scripted: Any) -> None:
+    turn = scripted.new("int16_t[3]", [0, 0, 90])
+    turned = board(turn_deg=turn, real_time=True)
+    assert turned.run(1200) == set()
+    assert list(turned.fw.gyro.turn[0]) == pytest.approx([0, 1, 0], abs=1e-6)
+    hanging = scripted.new("int16_t[3]", [180, 0, 0])  # so that the accelerometer feels it upside down
+    assert board(turn_deg=hanging, real_time=True).run(1200) == {ArmingReason.NOT_LEVEL}
 
 
 @pytest.mark.parametrize(("alignment", "held"), [(0, {ArmingReason.GYRO_ALIGNMENT}), (CW90, set())])

@@ -60,7 +60,8 @@ class Board:
         settings, pid = (self._kept(data) for data in (host.settings_bytes(), host.pid_bytes()))
         weights = self._kept(host.weights_bytes())
         # AAPCS gives a small enum and a bool one byte, the others are padding.
-        words = (GYRO_HZ, CW180, settings, weights, self._kept(host.header_bytes()), 1, pid)
+        straight, header = 0, self._kept(host.header_bytes())
+        words = (GYRO_HZ, CW180, straight, MPU6500, settings, weights, header, 1, pid)
         config = b"".join(word.to_bytes(4, "little") for word in words)
         self._core.write(self._argument, config)
         assert self._core.call("firmware_init", self.firmware, self._argument) == 0
@@ -102,7 +103,16 @@ class Host:
         )
         config = core.new(
             "struct firmware_config *",
-            (GYRO_HZ, CW180, MPU6500, self.settings, lib.policy_weights, self._header, True, self._pid),
+            {
+                "gyro_rate_hz": GYRO_HZ,
+                "alignment": CW180,
+                "gyro_chip": MPU6500,
+                "settings": self.settings,
+                "weights": lib.policy_weights,
+                "policy": self._header,
+                "policy_good": True,
+                "pid": self._pid,
+            },
         )
         assert lib.firmware_init(self.firmware, config) == 0
         lib.firmware_forbid(self.firmware, ArmingReason.BATTERY_UNKNOWN, False)

@@ -27,17 +27,20 @@ def test_frame_is_the_known_one_when_the_value_is(
     telemetry: bool,
     frame: int,
 ) -> None:
-    assert scripted.lib.dshot_frame(value, telemetry, False) == frame
+    assert scripted.lib.dshot_frames(value | value << 16, telemetry, False) == frame | frame << 16
 
 
 @pytest.mark.parametrize("answered", [False, True])
 def test_every_frame_checks_when_its_nibbles_are_xored(scripted: Any, answered: bool) -> None:
     for value in range(2048):
         for telemetry in (False, True):
-            frame = scripted.lib.dshot_frame(value, telemetry, answered)
-            assert reduce(xor, ((frame >> shift) & 0xF for shift in (0, 4, 8, 12))) == (15 if answered else 0)
-            assert frame >> 5 == value
-            assert bool(frame >> 4 & 1) is telemetry
+            beside = 2047 - value
+            frames = scripted.lib.dshot_frames(value | beside << 16, telemetry, answered)
+            for frame, sent in ((frames & 0xFFFF, value), (frames >> 16, beside)):
+                nibbles = ((frame >> shift) & 0xF for shift in (0, 4, 8, 12))
+                assert reduce(xor, nibbles) == (15 if answered else 0)
+                assert frame >> 5 == sent
+                assert bool(frame >> 4 & 1) is telemetry
 
 
 def test_value_is_the_nearest_step_when_the_fraction_is_random(scripted: Any) -> None:

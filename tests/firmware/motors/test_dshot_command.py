@@ -170,5 +170,5 @@ def test_a_sequence_ends_when_a_stop_is_asked_for(commander: Commander, stopped:
 
 def test_the_frames_are_the_protocols_when_a_command_is_sent(scripted: Any) -> None:
     """Save, 12 with the telemetry bit: 0b00000001100_1 and its checksum, as the protocol is published."""
-    assert scripted.lib.dshot_frame(DshotCommand.SAVE, True, False) == 0b0000000110011000
-    assert scripted.lib.dshot_frame(DshotCommand.BEACON_1, True, False) == 0x0033
+    both = DshotCommand.SAVE | DshotCommand.BEACON_1 << 16
+    assert scripted.lib.dshot_frames(both, True, False) == 0b0000000110011000 | 0x0033 << 16

@@ -81,6 +81,17 @@ def test_any_turn_is_undone_and_the_chips_own_before_it(scripted: Any, seed: int
         np.testing.assert_allclose(board.force(), board_axes(angles) @ chip.force(), atol=2e-4)
 
 
+@pytest.mark.parametrize("maker", [(0, 0, -45), (0, 0, 135), (180, 0, 90)])
+def test_the_pilots_turn_comes_on_top_of_the_makers(scripted: Any, maker: Sequence[float]) -> None:
+    pilot = (10, -20, 90)
+    board = Board(scripted, maker)
+    scripted.lib.gyro_board_init(board.gyro, *pilot)
+    gyro, accel = [1000, -2000, 3000], [100, 2000, -300]
+    wanted = board_axes(pilot) @ board_axes(maker)
+    np.testing.assert_allclose(board.feed(gyro, accel) / RATE, wanted @ gyro, atol=2e-2)
+    np.testing.assert_allclose(board.force() / FORCE, wanted @ accel, atol=2e-2)
+
+
 def test_nothing_is_computed_when_the_board_is_not_turned(scripted: Any) -> None:
     assert not Board(scripted, (0, 0, 0)).gyro.turned
     assert not Board(scripted, (-0.0, 0.0, -0.0)).gyro.turned

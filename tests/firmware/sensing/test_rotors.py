@@ -15,6 +15,7 @@ from neuroflight.toolchain.contract import (
     ESC_STANDS,
     ESC_WORD_MAX,
     ROTOR_ACCELERATION_MAX,
+    ROTOR_ACCELERATION_USUAL,
     ROTOR_HOLD_MS,
     ROTOR_SPEED_MAX,
     EscTold,
@@ -22,6 +23,7 @@ from neuroflight.toolchain.contract import (
 
 MOTORS, RATE_HZ = 4, 1000
 ROOM = ROTOR_ACCELERATION_MAX / RATE_HZ  # rad/s in a control step
+USUAL = ROTOR_ACCELERATION_USUAL / RATE_HZ
 
 
 class Rotors:
@@ -113,8 +115,8 @@ def test_poles_are_as_set(scripted: Any) -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_speed_counts_as_far_as_physics_allows(rotors: Rotors, sign: int) -> None:
-    beyond, within = 1000.0 + sign * (ROOM + 25.0), 1000.0 + sign * (ROOM - 10.0)
+def test_a_speed_counts_at_once_as_far_as_rotors_go_in_flight(rotors: Rotors, sign: int) -> None:
+    beyond, within = 1000.0 + sign * (USUAL + 25.0), 1000.0 + sign * (USUAL - 10.0)
     rotors.speeds(beyond)
     assert rotors.speed[0] == pytest.approx(1000.0, rel=0.004), "forged"
     rotors.speeds(1000.0)
@@ -122,11 +124,37 @@ def test_a_speed_counts_as_far_as_physics_allows(rotors: Rotors, sign: int) -> N
     assert rotors.speed[0] == pytest.approx(within, rel=0.004)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_jump_counts_when_the_next_word_agrees_as_far_as_physics_allows(rotors: Rotors, sign: int) -> None:
+    def jumps(by: float, then: float) -> bool:
+        """From 1000 rad/s by so much, and a step later by so much."""
+        for _ in range(3):
+            rotors.speeds(1000.0)
+        rotors.speeds(1000.0 + sign * by)
+        assert rotors.speed[0] == pytest.approx(1000.0, rel=0.004)
+        rotors.speeds(1000.0 + sign * then)
+        return rotors.speed[0] == pytest.approx(1000.0 + sign * then, rel=0.004)
+
+    assert jumps(ROOM, ROOM + 20.0)
+    assert jumps(ROOM, 2 * ROOM - 10.0)
+    assert not jumps(ROOM, 2 * ROOM + 30.0), "beyond physics"
+    assert not jumps(-ROOM, ROOM - 10.0), "they do not agree"
+
+
+def test_a_jump_is_forgotten_when_another_word_comes_between(rotors: Rotors) -> None:
+    for between in (ESC_DAMAGED, 0x0228):  # a temperature
+        rotors.speeds(1000.0)
+        rotors.speeds(1000.0 + ROOM)
+        rotors.step(between)
+        rotors.speeds(1000.0 + 3 * USUAL + 40.0)
+        assert rotors.speed[0] == pytest.approx(1000.0, rel=0.004)
+
+
 def test_a_speed_may_change_the_further_the_longer_no_word_came(rotors: Rotors) -> None:
     for _ in range(2):
         rotors.step(ESC_DAMAGED)
-    rotors.speeds(1000.0 + 2.9 * ROOM)
-    assert rotors.speed[0] == pytest.approx(1000.0 + 2.9 * ROOM, rel=0.004)
+    rotors.speeds(1000.0 + 2.9 * USUAL)
+    assert rotors.speed[0] == pytest.approx(1000.0 + 2.9 * USUAL, rel=0.004)
 
 
 def test_behind_a_silence_two_words_must_agree(rotors: Rotors) -> None:

@@ -1,4 +1,4 @@
-"""rpm_filter.c: notches at the rotors' turns, against scipy's notch and a rotor that changes its speed."""
+"""rpm_filter.c: notches at the rotors' turns, against published ones and a rotor that changes its speed."""
 
 from __future__ import annotations
 
@@ -92,15 +92,32 @@ def test_each_axis_loses_each_motors_turns_and_their_multiples(
     assert left(Filter(scripted).run(tone(hz), *SPEEDS), hz).max() < 0.01
 
 
-def test_what_is_left_between_the_notches_is_what_scipys_leave(scripted: Any) -> None:
+def cookbook(hz: float, q: float) -> tuple[Array, Array]:
+    """The notch of Bristow-Johnson's Audio EQ Cookbook, whose response Betaflight's RPM filter has: b, a."""
+    w = 2 * np.pi * hz / RATE_HZ
+    alpha = np.sin(w) / (2 * q)
+    cosine = -2 * np.cos(w)
+    return np.array([1, cosine, 1]), np.array([1 + alpha, cosine, 1 - alpha])
+
+
+def test_what_is_left_between_the_notches_is_what_the_published_ones_leave(scripted: Any) -> None:
     speeds = (2000.0,) * MOTORS
     for hz in (40.0, 150.0, 260.0, 400.0, 800.0, 1500.0):
         expected = 1.0
         for harmonic in (1, 2, 3):
-            w = 2 * RATE_HZ * np.tan(np.pi * harmonic * hz_of(2000.0) / RATE_HZ)
-            notch = signal.bilinear([1, 0, w * w], [1, w / 5.0, w * w], RATE_HZ)
+            notch = cookbook(harmonic * hz_of(2000.0), 5.0)
             expected *= np.abs(signal.freqz(*notch, worN=[hz], fs=RATE_HZ)[1][0]) ** MOTORS
         np.testing.assert_allclose(left(Filter(scripted).run(tone(hz), *speeds), hz), expected, atol=4e-3)
+
+
+def test_a_notch_far_below_the_gyro_rate_is_scipys(scripted: Any) -> None:
+    # Higher up scipy's have the width that the bilinear transform takes from the others.
+    centre = hz_of(1100.0)
+    notch = signal.iirnotch(centre, 5.0, RATE_HZ)
+    for hz in (60.0, 140.0, 160.0, 190.0, 220.0, 600.0):
+        found = left(Filter(scripted, rpm_filter_harmonics=1).run(tone(hz), *([1100.0] * MOTORS)), hz)
+        expected = np.abs(signal.freqz(*notch, worN=[hz], fs=RATE_HZ)[1][0]) ** MOTORS
+        np.testing.assert_allclose(found, expected, atol=0.012)
 
 
 def test_the_notch_follows_a_rotor_that_gains_speed(scripted: Any) -> None:
@@ -124,7 +141,9 @@ def test_nothing_is_taken_out_for_rotors_that_are_slow_or_silent(scripted: Any) 
     hz = hz_of(1500.0)
     slow = Filter(scripted, rpm_filter_harmonics=1).run(tone(60.0), *([60.0 * 2 * np.pi] * MOTORS))
     np.testing.assert_allclose(left(slow, 60.0), 1.0, atol=1e-3)
-    silent = Filter(scripted).run(tone(hz), *([1500.0] * MOTORS), silent=(1, 2, 3, 4))
+    heard = Filter(scripted)
+    heard.run(tone(hz, 400), *([1500.0] * MOTORS))
+    silent = heard.run(tone(hz), *([1500.0] * MOTORS), silent=(1, 2, 3, 4))
     np.testing.assert_allclose(left(silent, hz), 1.0, atol=1e-3)
     one = Filter(scripted).run(tone(hz), *([1500.0] * MOTORS), silent=(1, 2, 3))
     assert left(one, hz).max() < 0.01, "the others' notches stay"

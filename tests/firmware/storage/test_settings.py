@@ -20,6 +20,7 @@ from neuroflight.toolchain.contract import (
     Setting,
     Span,
 )
+from neuroflight.toolchain.policy.gyro_filters import GyroFilters
 
 COUNT = len(SETTINGS)
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
@@ -237,6 +238,11 @@ CONFLICTS = {
         "filter1_kind",
         {"gyro_mean", "filter2_kind", "filter2_hz"},
     ),
+    "the mean that a policy may bring behind notches at the rotors' turns": (
+        {"motor_telemetry": 1, "rpm_filter_harmonics": 3, "rpm_filter_min_hz": 73.0},
+        "filter1_kind",
+        {"rpm_filter_harmonics", "rpm_filter_min_hz"},
+    ),
     "a low-pass that rings": (
         {"filter4_kind": 4, "filter4_q": 1.11},
         "filter1_kind",
@@ -300,6 +306,7 @@ def test_later_rules_see_the_mended_gyro_rate_when_several_are_broken(
         {"dynamic_notch_high_hz": 2000.0},  # none is flown
         {"filter2_kind": 1, "filter2_hz": 46.0},
         {"filter2_kind": 1, "filter2_hz": 46.5, "gyro_mean": 1},
+        {"motor_telemetry": 1, "rpm_filter_harmonics": 3, "rpm_filter_min_hz": 76.0},
         {"filter2_kind": 1, "filter2_hz": 51.0, "gyro_mean": 2},
         {"filter2_kind": 2, "filter2_hz": 59.0},
         {"filter2_kind": 3, "filter2_hz": 70.0},
@@ -323,6 +330,22 @@ def test_no_conflict_is_found_when_settings_go_together(
     before = bytes(scripted.ffi.buffer(settings))
     scripted.lib.settings_mend(settings)
     assert bytes(scripted.ffi.buffer(settings)) == before
+
+
+@pytest.mark.parametrize(
+    "text", ["rpm:3:76", "rpm:3:73", "rpm:2:62:5", "rpm:2:60:5", "rpm:1:100:2.1", "rpm:1:100:2"]
+)
+def test_notches_are_as_late_as_a_build_says(scripted: Any, settings: Any, put: Put, text: str) -> None:
+    filters = GyroFilters.parse(text)
+    for name, value in filters.settings.items():
+        assert put(settings, name, value) == Refusal.NONE
+    fits = scripted.lib.settings_conflict(settings) == COUNT
+    try:
+        filters.check(4, 1000)
+    except ValueError:
+        assert not fits
+    else:
+        assert fits
 
 
 # --- The two styles of rates -------------------------------------------------------------------

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from neuroflight.flash.betaflight.diff_file import read_diff
@@ -15,11 +16,13 @@ from neuroflight.flash.betaflight.planner import plan_import
 from neuroflight.flash.settings.text import default_of, value_text
 from neuroflight.toolchain.contract import SETTINGS
 from neuroflight.toolchain.errors import LinkError
+from tests.flights.wiring import board_axes
 from tests.sampling import examples
 
 OUTPUTS = ("C06", "C07", "C08", "C09", "B01", "A08", "B08", "A02")  # of a MATEKF722
 DEFAULTS = {setting.name: default_of(setting) for setting in SETTINGS}
 Make = Callable[..., ImportPlan]
+AXES = ("roll", "pitch", "yaw")
 
 
 def header(version: str = "4.2.0", board: str = "MATEKF722") -> str:
@@ -36,12 +39,13 @@ def make(tmp_path: Path) -> Make:
         board: str = "MATEKF722",
         here: str = "MATEKF722",
         rate_profile: int | None = None,
+        turn: tuple[int, int, int] | None = (0, 0, 0),
         **present: float | str,
     ) -> ImportPlan:
         file = tmp_path / "diff.txt"
         file.write_text(header(version, board) + text)
         outputs = OUTPUTS if board.startswith("MATEKF722") else ()
-        return plan_import(read_diff(file), here, DEFAULTS | present, rate_profile, outputs)
+        return plan_import(read_diff(file), here, DEFAULTS | present, rate_profile, outputs, turn)
 
     return make
 
@@ -57,6 +61,35 @@ def changes(plan: ImportPlan) -> dict[str, str]:
 
 def left(plan: ImportPlan) -> dict[str, str]:
     return {one.line.text: one.reason for one in plan.left}
+
+
+@pytest.mark.parametrize(
+    ("makers", "lines", "pilots"),
+    [
+        ((0, 0, 45), {"yaw": 45}, (0, 0, 0)),  # a dump: nothing but what the maker presets
+        ((0, 0, -45), {"yaw": 315, "roll": 0}, (0, 0, 0)),
+        ((0, 0, -45), {"yaw": 0}, (0, 0, 45)),
+        ((0, 0, -45), {"yaw": 135}, (0, 0, 180)),
+        ((0, 0, 45), {"roll": 180}, (180, 0, 90)),  # upside down, its maker's yaw left as it was
+        ((180, 0, 90), {"yaw": 180}, (0, 0, 90)),
+        ((180, 0, 90), {"roll": 0}, (0, 180, 0)),  # the same as roll 180, yaw 180
+        ((0, 0, 45), {"pitch": 90}, None),
+    ],
+)
+def test_the_pilots_turn_is_what_is_left_of_the_makers(
+    make: Make, makers: tuple[int, int, int], lines: dict[str, int], pilots: tuple[int, int, int] | None
+) -> None:
+    plan = make("\n".join(f"set align_board_{axis} = {turn}" for axis, turn in lines.items()), turn=makers)
+    found = [float(changes(plan)[f"board_{axis}_deg"]) for axis in AXES]
+    whole = [lines.get(axis, turn) for axis, turn in zip(AXES, makers, strict=True)]
+    np.testing.assert_allclose(board_axes(found) @ board_axes(makers), board_axes(whole), atol=2e-4)
+    if pilots is not None:
+        np.testing.assert_allclose(board_axes(found), board_axes(pilots), atol=1e-9)
+
+
+def test_a_turn_is_left_where_its_makers_is_not_known(make: Make) -> None:
+    plan = make("set align_board_yaw = 45", turn=None)
+    assert not changes(plan) and "set board_yaw_deg" in left(plan)["set align_board_yaw = 45"]
 
 
 # --- One line --------------------------------------------------------------------------------------

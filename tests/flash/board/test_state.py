@@ -169,6 +169,17 @@ def test_causes_are_told_in_words_when_there_were_any(msp: Run, tcp_server: Serv
     assert "gyro good, 25.3 deg C" in words and "receiver 97 %" in words
 
 
+def test_rotors_are_told_when_their_escs_answer(msp: Run, tcp_server: Serve, resting_host: str) -> None:
+    rows = ((7210, 0, 0, 0, 0), (7180, 150, 31, 1575, 420), (0, 10_000, 0, 0, 0))
+    telemetry = b"\x03" + b"".join(struct.pack("<IHBHHH", *row, 0) for row in rows)
+    port = tcp_server(answering({Msp.MOTOR_TELEMETRY: telemetry}, through=resting_host))
+    words = " ".join(msp.told(port, "status").split())
+    lost = "7,180 rpm (31 deg C, 15.75 V, 4.2 A, 1.5 % of its answers lost)"
+    assert f"rotors 7,210 rpm, {lost}, silent" in words
+    quiet = tcp_server(answering({Msp.MOTOR_TELEMETRY: b"\x04" + bytes(52)}, through=resting_host))
+    assert "rotors" not in msp.told(quiet, "status")
+
+
 STATUS_EX = bytes.fromhex("f401 0000 2100 01000000 00 0a00 03 00 00 1d 80200010 00 2900")
 BETAFLIGHT_PEER: dict[int, bytes] = {
     Msp.API_VERSION: b"\x00\x01\x2f",

@@ -496,7 +496,7 @@ def every_form(folder: Path) -> list[str]:
     """Aircraft files that between them give every key there is."""
     (folder / "frame.stl").write_bytes(brick())
     dimensionless = "c_t = 0.1\nc_q = 0.01\nair_density_kg_m3 = 1.2"
-    optional = replaced(r"^\[gyro\]$", "[gyro]\nbandwidth_hz = 100").decode()
+    optional = replaced(r"^\[gyro\]$", "[gyro]\nbandwidth_hz = 100\nvibration_harmonics = [0.5]").decode()
     optional = re.sub(r"^\[accelerometer\]$", "[accelerometer]\nbandwidth_hz = 100", optional, flags=re.M)
     lag = 'kind = "first_order"\ntime_constant_up_s = 0.04\ntime_constant_down_s = 0.05\n'
     return [

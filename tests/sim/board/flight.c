@@ -17,7 +17,7 @@ enum {
 extern u32 bss_start[], bss_end[];
 
 static u8 request[15], response[15];
-static u32 slots[18 * 4];
+static u32 words[50]; /* three a bit: pulses begin, those of zeros end, the others end; then rest */
 static u8 ring[64];
 static volatile u32 edges;
 volatile u32 samples, received;
@@ -119,18 +119,12 @@ static void gyro(void)
 
 static void motors(void)
 {
-	R(GPIOC + 0x20) |= 0x33000000u;
-	R(GPIOC + 0x24) |= 0x33u;
-	R(GPIOC) |= 0xAA000u;
-	R(TIM8 + 0x2C) = 359;
-	R(TIM8 + 0x18) = R(TIM8 + 0x1C) = 0x6868;
-	R(TIM8 + 0x48) = 3u << 8 | 13u;
+	R(GPIOC) |= 0x55000u;
+	R(TIM8 + 0x2C) = 119;
 	R(TIM8 + 0x14) = 1;
-	R(TIM8 + 0x20) = 0x1111;
-	R(TIM8 + 0x44) |= 1u << 15;
 	R(TIM8) = 0x81;
-	R(STREAM(DMA2, 1) + 8) = TIM8 + 0x4C;
-	R(STREAM(DMA2, 1) + 12) = (u32)slots;
+	R(STREAM(DMA2, 1) + 8) = GPIOC + 0x18;
+	R(STREAM(DMA2, 1) + 12) = (u32)words;
 }
 
 static void receiver(void)
@@ -152,17 +146,22 @@ static void receiver(void)
 
 static void send(const u16 values[4])
 {
+	for (u32 bit = 0; bit < 16; ++bit) {
+		words[3 * bit] = 15u << 6;
+		words[3 * bit + 1] = 0;
+		words[3 * bit + 2] = 15u << 22;
+	}
 	for (u32 motor = 0; motor < 4; ++motor) {
 		const u32 data = (u32)values[motor] << 1;
 		const u32 frame = data << 4 | ((data ^ data >> 4 ^ data >> 8) & 15u);
 
 		for (u32 bit = 0; bit < 16; ++bit)
-			slots[4 * bit + motor] = frame >> (15 - bit) & 1u ? 270 : 135;
+			words[3 * bit + 1] |= (frame >> (15 - bit) & 1u ? 0u : 1u) << (22 + motor);
 	}
 	R(TIM8 + 0x0C) = 0;
 	R(TIM8 + 0x24) = 0;
 	R(DMA2 + 8) = 0x3Du << 6;
-	R(STREAM(DMA2, 1) + 4) = 72;
+	R(STREAM(DMA2, 1) + 4) = 50;
 	R(STREAM(DMA2, 1)) = 7u << 25 | 2u << 13 | 2u << 11 | 1u << 10 | 1u << 6;
 	barrier();
 	R(STREAM(DMA2, 1)) |= 1;

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 BUFFER = 0x20011000
-TIM8_DMAR = 0x4001044C
+GPIOC_BSRR = 0x40020818
 EN, TO_PERIPHERAL, MINC, CIRC, WORDS = 1, 1 << 6, 1 << 10, 1 << 8, 2 << 11 | 2 << 13
 ARPE_CEN = 1 << 7 | 1
 
@@ -22,9 +22,9 @@ def motors(fast: Bench) -> Bench:
     """TIM8 counting bits, its update's stream ready, as the motors' driver sets it up."""
     fast.reset("software")
     fast.full_speed()
-    for register, value in (("ARR", 359), ("DCR", 3 << 8 | 13), ("EGR", 1), ("CR1", ARPE_CEN)):
+    for register, value in (("ARR", 719), ("EGR", 1), ("CR1", ARPE_CEN)):
         fast.write(f"TIM8_{register}", value)
-    fast.write("DMA2_S1PAR", TIM8_DMAR)
+    fast.write("DMA2_S1PAR", GPIOC_BSRR)
     fast.write("DMA2_S1M0AR", BUFFER)
     return fast
 
@@ -42,7 +42,7 @@ def test_stream_is_refused_when_nothing_makes_its_requests(motors: Bench, forgot
         motors.set("TIM8_CR1", CEN=0)
         motors.set("TIM8_DIER", UDE=1)
     start_stream(motors)
-    with pytest.raises(BoardError, match=r"DMA2 stream 1 has waited .* to move 72 items to 0x4001044C"):
+    with pytest.raises(BoardError, match=r"DMA2 stream 1 has waited .* to move 72 items to 0x40020818"):
         motors.context.run(25_000)
 
 

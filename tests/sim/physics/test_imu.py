@@ -134,6 +134,15 @@ def test_vibration_grows_with_the_square_of_speed_when_a_rotor_turns() -> None:
         assert power[2:].max() < 1e-9
 
 
+def test_vibration_has_the_multiples_of_a_turn_that_the_file_says() -> None:
+    model = gyro(replace(QUIET, vibration=(2.0, 3.0, 4.0), harmonics=(0.5, 0.25)), count=1)
+    phase = np.linspace(0, 2 * math.pi, 400, endpoint=False)
+    turns = [model.measure(np.zeros((1, 3)), np.array([[p]]), np.array([[1000.0]])) for p in phase]
+    amplitude = np.abs(np.fft.rfft(np.array(turns)[:, 0], axis=0)) / 200
+    assert amplitude[1:5, 0] == pytest.approx(0.5 * np.array([1.0, 0.5, 0.25, 0.0]), abs=1e-12)
+    assert amplitude[1:5, 2] == pytest.approx([1.0, 0.5, 0.25, 0.0], abs=1e-12)
+
+
 def test_vibration_adds_up_when_several_rotors_turn() -> None:
     model = gyro(replace(QUIET, vibration=(1.0, 1.0, 1.0)), count=1)
     still, speed = np.zeros((1, 3)), np.array([[2000.0, 1000.0]])

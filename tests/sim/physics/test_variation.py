@@ -87,6 +87,30 @@ WORLDS: dict[str, dict[str, Any]] = {
 }
 
 
+def test_a_drawn_vibration_is_that_of_a_file_that_says_so() -> None:
+    drawn = replace(Variation.nominal(2, NF1.propulsion.delay), vibration=np.array([0.5, np.nan]))
+    gyro = replace(NF1.gyro, vibration=(0.5, 0.5, 0.25), harmonics=(0.1, 0.4))
+    told = replace(NF1, gyro=gyro)
+    commands = np.full((40, 2, 4), 0.5)
+    varied, filed, usual = (
+        readings(Twin(aircraft, 2, variation=variation, rng=np.random.default_rng(5)), commands)
+        for aircraft, variation in ((NF1, drawn), (told, None), (NF1, None))
+    )
+    np.testing.assert_allclose(varied[:, 0], filed[:, 0], atol=1e-12)
+    assert varied[:, 1].tobytes() == usual[:, 1].tobytes()
+    assert np.abs(filed - usual).max() > 0.02
+
+
+def readings(flown: Twin, commands: np.ndarray) -> np.ndarray:
+    """Gyros of a flight, (T, N, 3)."""
+    seen = []
+    for command in commands:
+        flown.step(command)
+        seen.append(flown.gyro)
+    flown.close()
+    return np.array(seen)
+
+
 # Not on the ground: there the last bit decides which corner of the box touches first.
 @pytest.mark.parametrize("world", [world for world in WORLDS if world != "ground"])
 @pytest.mark.parametrize("aircraft", [NF1, HEXA], ids=["nf1", "hexa"])
@@ -99,6 +123,7 @@ def test_a_varied_aircraft_flies_like_one_whose_file_says_so(aircraft: Aircraft,
         noise=np.ones(count),
         delay_s=np.array([0.0, 0.001, 0.003, 0.006, 0.002]),
         charge=np.array([1.0, 0.5, np.nan, 0.9, 0.2]),
+        vibration=np.full(count, np.nan),
     )
     commands = rng.uniform(0.0, 0.9, (20, count, aircraft.motor_count)).repeat(10, axis=0)
     together = twin(variation, aircraft=aircraft, **WORLDS[world])

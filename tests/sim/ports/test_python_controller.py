@@ -13,6 +13,7 @@ from neuroflight.sim.ports.library import ReferencePort
 from neuroflight.sim.ports.port import Reply, Sample
 from neuroflight.sim.ports.python_controller import ControllerPort
 from neuroflight.toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, Mix
+from neuroflight.toolchain.policy.gyro_filters import MEAN
 
 Array = NDArray[np.float32]
 RATE_HZ = 1000  # gyro and control alike, for short tests
@@ -56,7 +57,10 @@ def armed_port(controller: Echo) -> ControllerPort:
 
 def test_gyro_is_the_firmwares_bits_when_both_hear_the_same_noise(reference_library: Path) -> None:
     rng = np.random.default_rng(1)
-    ours, theirs = ControllerPort(Echo(), 4, gyro_mean=True), ReferencePort(reference_library)
+    ours, theirs = (
+        ControllerPort(Echo(), 4, gyro_filters=MEAN),
+        ReferencePort(reference_library),
+    )
     for k in range(4400):  # a second of calibration, then a tenth of motion as fast as a gyro tells
         noise = rng.normal((0.1, -0.05, 0.02), 0.02)
         gyro = noise if k < 4000 else noise + 33.0 * np.sin(0.3 * (k - 4000)) * np.array([1.0, -0.8, 0.6])
@@ -96,7 +100,7 @@ def test_the_mix_is_the_controllers_when_given() -> None:
 
 
 def test_the_controller_sees_the_mean_of_the_samples_since_its_last_step_when_asked() -> None:
-    port = ControllerPort(Echo(), 4, 4000, gyro_mean=True)
+    port = ControllerPort(Echo(), 4, 4000, gyro_filters=MEAN)
     replies = [port.exchange(sample(np.full(3, (k + 1) / 10)), None) for k in range(9)]
     count = float(np.deg2rad(2000 / 32768))
     assert replies[0].gyro == pytest.approx(0.1, abs=count)  # the first stands for those before it

@@ -101,9 +101,9 @@ def header(board: Board) -> str:
     return "\n".join(lines) + "\n"
 
 
-def turns(board: Board) -> list[tuple[str, str]]:
+def turns(board: Board) -> list[tuple[str, int]]:
     """Axis and degrees of each turn of the whole board."""
-    return [tuple(turn.split()) for turn in board.turned.split(", ") if turn]  # type: ignore[misc]
+    return [(axis, turn) for axis, turn in zip(("roll", "pitch", "yaw"), board.turn_deg, strict=True) if turn]
 
 
 def resources(board: Board) -> Iterator[tuple[str, int, Pin]]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from neuroflight.toolchain.boards.allocation import Allocation, allocate
-from neuroflight.toolchain.boards.description import pack, unpack
+from neuroflight.toolchain.boards.description import BOARD_BYTES, pack, unpack
 from neuroflight.toolchain.boards.facts import Board, Chip, GyroPlace, Pin, Uart
 from neuroflight.toolchain.boards.table import boards, find_board
 from neuroflight.toolchain.contract import BOARD_NO_PIN, BoardLog
@@ -72,7 +72,7 @@ def test_a_description_is_read_back_when_packed() -> None:
     assert told["buses"][2]["dma_tx"] == 0x170
 
 
-@pytest.mark.parametrize("damage", [b"", b"\0", b"\xff" * 156, bytes(156)])
+@pytest.mark.parametrize("damage", [b"", b"\0", b"\xff" * BOARD_BYTES, bytes(BOARD_BYTES)])
 def test_bytes_that_describe_no_board_are_refused(damage: bytes) -> None:
     with pytest.raises(WiringError, match="description"):
         unpack(damage)
@@ -82,7 +82,6 @@ def test_bytes_that_describe_no_board_are_refused(damage: bytes) -> None:
     ("board", "words"),
     [
         (replace(MATEK, gyros=()), "where its gyro is wired to is not told"),
-        (replace(MATEK, gyros=(replace(GYRO, ready=None),)), "data-ready line of its gyro is not told"),
         (replace(MATEK, gyros=(replace(GYRO, spi=4),)), "its gyro is on SPI4, whose pins are not told"),
         (replace(MATEK, gyro_kinds=("L3GD20",)), "not one that the firmware knows: L3GD20"),
         (replace(MATEK, gyro_kinds=()), "not one that the firmware knows: none"),
@@ -157,6 +156,38 @@ def test_a_log_on_the_gyros_bus_is_left_alone_but_not_selected() -> None:
     assert "log: its chip shares SPI1 with the gyro, which has it alone" in one.left
     told = unpack(pack(one))
     assert (told["log_kind"], told["log_chip"]["select"]) == (BoardLog.NONE, Pin("B", 12).code)
+
+
+DUAL = replace(
+    MATEK,
+    gyros=(GYRO, GyroPlace(2, Pin("B", 12), Pin("C", 13), 5)),
+    uarts={n: UARTS[n] for n in (1, 2)},
+    usb_supply=None,
+)
+
+
+def test_a_second_gyro_has_its_own_bus() -> None:
+    told = unpack(pack(allocate(DUAL)))
+    assert told["gyros"][1] == {"spi": 2, "select": 0x1C, "ready": 0x2D, "alignment": 5}
+    assert told["buses"][1]["dma_rx"] == 0x130
+
+
+@pytest.mark.parametrize(
+    ("board", "why"),
+    [
+        (
+            replace(DUAL, log_kind=BoardLog.FLASH, log_chip=Chip(2, Pin("A", 15))),
+            "second gyro: it shares SPI2 with the log",
+        ),
+        (replace(DUAL, gyros=(GYRO, replace(DUAL.gyros[1], spi=0))), "second gyro: its SPI is not told"),
+        (replace(DUAL, buses={1: BUS, 3: MATEK.buses[3]}), "second gyro: it is on SPI2, whose pins are not"),
+    ],
+)
+def test_a_second_gyro_that_cannot_be_used_is_told_and_held_deselected(board: Board, why: str) -> None:
+    one = allocate(board)
+    assert any(line.startswith(why) for line in one.left)
+    second = unpack(pack(one))["gyros"][1]
+    assert (second["spi"], second["select"], second["ready"]) == (0, Pin("B", 12).code, BOARD_NO_PIN)
 
 
 def test_an_unknown_board_is_answered_with_names_alike() -> None:

@@ -13,10 +13,7 @@ from neuroflight.toolchain.errors import WiringError
 
 TEXT = board_text(find_board("MATEKF722SE"))
 REFUSED = {  # a part of the reason, and the boards of the table that it keeps from being built for
-    "where its gyro is wired to": "BOTWINGF722 HUMMINGBIRD_FC305 NUCLEOF722",
-    "BMI270": "JBF7_V2 NBD_CRICKETF7V2 NEUTRONRCF722AIO RRIOT_F722 SPEEDYBEEF7MINIV2 SPEEDYBEEF7V3",
-    "data-ready line": "AG3XF7 AIRBOTF7 AIRBOTF7HDV AIRF7 AXISFLYINGF7 LUXF7HDV LUXMINIF7 OMNIBUSF7NANOV7 "
-    "OMNINXT7 YUPIF7",
+    "where its gyro is wired to": "NUCLEOF722",
 }
 
 
@@ -25,6 +22,14 @@ def test_all_boards_of_the_table_are_flown_but_these() -> None:
     assert refused.keys() == {name for names in REFUSED.values() for name in names.split()}
     for reason, names in REFUSED.items():
         assert all(reason in refused[name] for name in names.split())
+
+
+def test_these_boards_ask_for_the_file_of_their_gyros_maker() -> None:
+    asking = {name for name, verdict in map(_judged, boards()) if verdict.file}
+    assert asking == {
+        *("JBF7_V2", "NBD_CRICKETF7V2", "NEUTRONRCF722AIO", "RRIOT_F722"),
+        *("SPEEDYBEEF7MINIV2", "SPEEDYBEEF7V3"),
+    }
 
 
 def _judged(name: str) -> tuple[str, Verdict]:
@@ -38,7 +43,12 @@ def _judged(name: str) -> tuple[str, Verdict]:
         ('name = "MATEKF722SE"', 'name = "../../x"', "name: got name '../../x', expected"),
         ('maker = "MTKS"', 'maker = "TOO-LONG"', "maker: got maker 'TOO-LONG', expected up to 7"),
         ('select = "PB2"', 'select = "PB99"', "select: got pin 'PB99', expected a port A to H"),
-        ("spi = 1", "spi = 7", "spi: got 7, expected a whole number from 1 to 3"),
+        ("spi = 1", "spi = 7", "spi: got 7, expected a whole number from 0 to 3"),
+        (
+            "[spi.1]",
+            "[turn]\nyaw_deg = 45.5\n[spi.1]",
+            "turn.yaw_deg: got 45.5, expected a whole",
+        ),
         ('"MPU6000"', '"mpu 6000"', "gyro_kinds: got 'mpu 6000', expected a chip's name"),
         (
             'alignment = "CW180_DEG_FLIP"',

@@ -9,13 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from neuroflight.toolchain.boards.allocation import allocate
 from neuroflight.toolchain.boards.board_file import board_text, read_board
-from neuroflight.toolchain.boards.description import pack, unpack
 from neuroflight.toolchain.boards.facts import Board, GyroPlace, Pin
 from neuroflight.toolchain.boards.import_board import differences, import_board
 from neuroflight.toolchain.boards.table import boards, find_board
-from neuroflight.toolchain.boards.verdict import judge
 from neuroflight.toolchain.errors import WiringError
 from tests.sampling import examples
 from tests.toolchain.boards.betaflight import dump, header
@@ -95,24 +92,19 @@ def test_utf_16_of_a_windows_editor_is_read(tmp_path: Path) -> None:
     assert imported(tmp_path, dump(MATEK).encode("utf-16")).motors == MATEK.motors
 
 
-def test_a_turned_board_is_told(tmp_path: Path) -> None:
+def test_the_makers_turn_of_a_board_is_taken_over_from_its_maker_alone(tmp_path: Path) -> None:
     path = tmp_path / "config.h"
-    path.write_text(header(MATEK) + "#define DEFAULT_ALIGN_BOARD_YAW -45\n")
-    imported = import_board(path)
-    (note,) = imported.notes
-    assert "turns the board, yaw -45 degrees" in note
-    assert imported.board.turned == "yaw -45"
-
-
-def test_of_a_turned_board_no_chip_is_taken_for_granted() -> None:
-    """The firmware asks for the pilot's gyro_alignment where the description names no chip."""
-    for board in KNOWN:
-        if judge(board).allocation is not None:
-            kinds = unpack(pack(allocate(board)))["gyro_kinds"]
-            assert (kinds == 0) == bool(board.turned), board.name
-            assert any("it does not arm before" in told for told in judge(board).without) == bool(
-                board.turned
-            )
+    path.write_text(header(MATEK) + "#define DEFAULT_ALIGN_BOARD_YAW 315\n")
+    found = import_board(path)
+    assert found.board.turn_deg == (0, 0, -45)
+    assert any("the board by yaw -45 deg is its maker's" in note for note in found.notes)
+    path.write_text(dump(MATEK) + "set align_board_roll = 180\nset align_board_yaw = -45\n")
+    found = import_board(path)
+    assert found.board.turn_deg == (0, 0, 0), "the pilot's: `settings import` brings it"
+    assert any("the board by roll 180, yaw -45 deg is the pilot's or" in note for note in found.notes)
+    turned = find_board("GEPRC_F722_AIO")
+    path.write_text(dump(turned) + "set align_board_yaw = 90\n")
+    assert import_board(path).board.turn_deg == turned.turn_deg == (0, 0, 45)
 
 
 @pytest.mark.parametrize(

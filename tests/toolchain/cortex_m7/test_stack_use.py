@@ -18,7 +18,9 @@ __attribute__((noinline)) void take(volatile char *p) { *p = 1; }
 %s
 #ifndef OWN_HANDLERS
 void gyro_sample_handler(void) { FRAME(100); }
+void motors_answers_handler(void) { FRAME(8); }
 void tick_handler(void) { FRAME(300); }
+void motors_moved_handler(void) { FRAME(20); }
 void gyro_edge_handler(void) { FRAME(40); }
 #endif
 void fault_handler(void) { }
@@ -54,6 +56,7 @@ def test_the_deepest_path_is_found_and_interrupts_come_on_top_when_added(tmp_pat
     assert found.thread.size == sum(told(tmp_path, name) for name in found.thread.path)
     assert [level.path for level in found.interrupts] == [
         ("tick_handler", "take"),  # of two handlers that cannot interrupt each other the deeper
+        ("motors_moved_handler", "take"),
         ("gyro_edge_handler", "take"),
         ("fault_handler",),
     ]

@@ -96,7 +96,7 @@ MISFITS: list[tuple[tuple[int, ...], dict[str, str], str]] = [  # widths, metada
     (
         (6, 8, 4),
         {"filters": '["pt1:100"]'},
-        'trained behind the gyro filters ["pt1:100"], expected [] or [["mean"]]',
+        'trained behind gyro filters ["pt1:100"], expected chains as [], [["mean"]], ',
     ),
     (
         (66, 8, 4),

@@ -54,6 +54,15 @@ def test_step_is_told_in_words_when_it_was_counted(
     assert words in printed(*step)
 
 
+def test_settings_are_told_that_the_board_needs_for_the_policy() -> None:
+    behind = replace(POLICY, filters=(["rpm", 2, 90_500, 5000], ["mean"]))
+    words = (
+        "settings motor_telemetry=1 rpm_filter_harmonics=2 rpm_filter_min_hz=90.5 rpm_filter_q=5; with others"
+    )
+    assert words in printed(None, None, "none", behind)
+    assert "rpm_filter" not in printed(None, None, "none")
+
+
 @pytest.mark.parametrize(
     ("training", "words"),
     [

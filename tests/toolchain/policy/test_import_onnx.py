@@ -22,6 +22,7 @@ from neuroflight.toolchain import contract
 from neuroflight.toolchain.contract import POLICY_FILE_BYTES_MAX, Mix
 from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.ir.interpreter import evaluate
+from neuroflight.toolchain.policy.gyro_filters import MEAN
 from neuroflight.toolchain.policy.import_onnx import PolicyClaims, import_onnx, imported_model
 from neuroflight.toolchain.policy.model import parse_policy, read_policy
 from neuroflight.toolchain.reader.external import embed_weights
@@ -146,7 +147,7 @@ def test_policy_has_mix_filters_and_its_aircrafts_model_when_frozen_with_them(
     assert main(["policy", "import", str(source), *told]) == 0
     assert capsys.readouterr().out.splitlines()[-2].endswith(', 2000 Hz, mix centred, filters [["mean"]]')
     policy, model = read_policy(out), model_constants(load_aircraft("nf1"), 2000)
-    assert (policy.mix, policy.gyro_mean, policy.model) == (Mix.CENTRED, True, model)
+    assert (policy.mix, policy.gyro_filters, policy.model) == (Mix.CENTRED, MEAN, model)
     assert main(["policy", "import", str(source), *told, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["mix"], document["filters"]) == ("centred", [["mean"]])

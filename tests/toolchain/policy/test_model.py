@@ -18,6 +18,7 @@ from neuroflight.toolchain import contract
 from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.ir.interpreter import evaluate
 from neuroflight.toolchain.passes import optimize
+from neuroflight.toolchain.policy.gyro_filters import UNFILTERED, GyroFilters, RpmFilter
 from neuroflight.toolchain.policy.model import parse_policy, read_policy
 
 if TYPE_CHECKING:
@@ -80,12 +81,16 @@ def test_policy_has_the_mix_that_its_metadata_tell(kit: Kit, text: str, mix: int
     assert parse_policy(chain.data()).mix is contract.Mix(mix)
 
 
-def test_policy_is_behind_the_gyros_mean_when_its_filters_are_that(kit: Kit) -> None:
+def test_policy_is_behind_the_gyros_filters_that_its_metadata_say(kit: Kit) -> None:
     chain = kit.mlp()
-    assert not parse_policy(chain.data()).gyro_mean
-    chain.metadata["neuroflight.filters"] = '[["mean"]]'
+    assert parse_policy(chain.data()).gyro_filters == UNFILTERED
+    chain.metadata["neuroflight.filters"] = '[["rpm",2,120500,4000],["mean"]]'
     policy = parse_policy(chain.data())
-    assert (policy.gyro_mean, policy.filters) == (True, (["mean"],))
+    assert policy.gyro_filters == GyroFilters(RpmFilter(2, 120.5, 4.0), mean=True)
+    assert policy.gyro_filters.chain == list(policy.filters)
+    chain.metadata["neuroflight.filters"] = '[["biquad",100000,700]]'
+    with pytest.raises(PolicyError, match="behind gyro filters"):
+        _ = parse_policy(chain.data()).gyro_filters
 
 
 MODEL = {

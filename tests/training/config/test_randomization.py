@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.arrays import Array
+from neuroflight.sim.physics.variation import Variation
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.training.config.randomization import Randomization
 from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
@@ -23,7 +25,15 @@ WIDE = Randomization(
     noise=(1.0, 3.0),
     delay_s=(0.0, 0.006),
     charge=(0.2, 1.0),
+    vibration_deg_s=(5.0, 40.0),
 )
+
+
+def of(drawn: Variation, name: str) -> Array:
+    """Values that were drawn, in the unit of their range."""
+    return np.rad2deg(drawn.vibration) if name == "vibration_deg_s" else getattr(drawn, name)
+
+
 SHORT = PulseTask(idle_s=0.05, command_s=0.05, rest_s=0.05)
 
 
@@ -36,7 +46,7 @@ def test_draws_fill_their_ranges_and_stay_inside() -> None:
     drawn = WIDE.draw(4000, np.random.default_rng(0), 0.002)
     for field in fields(WIDE):
         low, high = getattr(WIDE, field.name)
-        values = getattr(drawn, field.name)
+        values = of(drawn, field.name)
         assert values.min() >= low
         assert values.max() <= high
         assert values.max() - values.min() > 0.98 * (high - low)
@@ -54,6 +64,7 @@ def test_most_aircraft_drawn_near_differ_little_and_all_at_once() -> None:
     assert (far < 0.5).mean() == pytest.approx(0.85, abs=0.03)
     others = np.abs(np.log(drawn.inertia)) / np.log(WIDE.inertia[1])
     assert np.corrcoef(far, others)[0, 1] > 0.2, "far from its file in one thing, an aircraft is so in others"
+    assert np.rad2deg(drawn.vibration).mean() == pytest.approx(22.5, abs=0.5)
     assert np.mean(drawn.charge < 0.6) == pytest.approx(0.5, abs=0.03), "batteries are as empty as ever"
 
 
@@ -61,7 +72,7 @@ def test_what_is_not_randomized_stays_as_the_file_says() -> None:
     drawn = Randomization(lag=(0.5, 2.0)).draw(3, np.random.default_rng(0), 0.002)
     assert drawn.mass.tolist() == [1.0, 1.0, 1.0]
     assert drawn.delay_s.tolist() == [0.002, 0.002, 0.002]
-    assert np.isnan(drawn.charge).all()
+    assert np.isnan(drawn.charge).all() and np.isnan(drawn.vibration).all()
 
 
 def test_a_battery_is_rejected_where_the_aircraft_has_none() -> None:
@@ -80,7 +91,7 @@ def test_every_episode_draws_its_aircraft_and_leaves_the_others() -> None:
     assert before is not None
     assert after is not None
     for field in fields(WIDE):
-        changed = getattr(before, field.name) != getattr(after, field.name)
+        changed = of(before, field.name) != of(after, field.name)
         assert changed.tolist() == [False, True, False, True], field.name
 
 

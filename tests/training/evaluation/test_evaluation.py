@@ -16,6 +16,7 @@ from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
 from neuroflight.toolchain.contract import Mix
 from neuroflight.toolchain.ir.interpreter import advance, clear_state
 from neuroflight.toolchain.passes import optimize
+from neuroflight.toolchain.policy.gyro_filters import MEAN, UNFILTERED
 from neuroflight.toolchain.policy.model import read_policy
 from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
 from neuroflight.training.envs.simulation import AttitudeSimulation
@@ -138,14 +139,14 @@ SHORT = PulseTask(idle_s=0.05, command_s=0.2, rest_s=0.05)
 def flown(policy: Path, **options: Any) -> Flights:
     """Short flights of three aircraft by the policy of the file, as it asks to be flown."""
     model = read_policy(policy)
-    own = {"idle": model.idle, "mix": model.mix, "gyro_mean": model.gyro_mean}
+    own = {"idle": model.idle, "mix": model.mix, "gyro_filters": model.gyro_filters}
     asked = {"throttle": 0.3, **own, **options}
     return record(PolicyController(model, 3), NF1, SHORT, episodes=3, seed=7, control_rate_hz=1000, **asked)
 
 
 def test_a_flight_is_another_when_mix_or_filter_are(estimating_policy: Path) -> None:
     asked = flown(estimating_policy)
-    for change in ({"mix": Mix.ATTITUDE_FIRST}, {"gyro_mean": False}):
+    for change in ({"mix": Mix.ATTITUDE_FIRST}, {"gyro_filters": UNFILTERED}):
         other = flown(estimating_policy, **change)
         assert np.array_equal(other.setpoint, asked.setpoint)
         assert not np.array_equal(other.output, asked.output)
@@ -166,14 +167,22 @@ def test_the_gyros_mean_is_less_noisy_than_one_sample() -> None:
     noise = []
     for mean in (False, True):
         controller = Watching(4)
-        record(controller, NF1, SHORT, episodes=4, seed=1, control_rate_hz=1000, gyro_mean=mean)
+        record(
+            controller,
+            NF1,
+            SHORT,
+            episodes=4,
+            seed=1,
+            control_rate_hz=1000,
+            gyro_filters=MEAN if mean else UNFILTERED,
+        )
         noise.append(float(np.std(np.diff(np.array(controller.gyro)[50:], axis=0))))
     assert noise[1] < 0.7 * noise[0]
 
 
 def test_a_loaded_policy_flies_with_its_own_mix_filter_and_idle(estimating_policy: Path) -> None:
     controller = load_controller(str(estimating_policy), NF1)
-    assert (controller.mix, controller.gyro_mean, controller.idle) == (Mix.CENTRED, True, 0.055)
+    assert (controller.mix, controller.gyro_filters, controller.idle) == (Mix.CENTRED, MEAN, 0.055)
     conditions = Conditions(aircraft=NF1, task=SHORT, episodes=3, seed=7)
     seen = conditions.fly(controller, 0.3)
     assert np.abs(seen.rate - flown(estimating_policy).rate).max() < 0.05

@@ -128,7 +128,7 @@ def test_flights_are_flown_once_a_draw_and_tell_their_drift(
     assert (told["task"], told["episodes"], told["draws"]) == ("flight", 10, 2)
     assert "a drift of more than 90 deg in 10 s of hover" in told["divergence"]
     (tuned,) = told["controllers"]
-    assert set(tuned["cases"]) == {"nominal", "lag x 2"}
+    assert set(tuned["cases"]) == {"nominal", "lag x 2", "vibration 25 deg/s"}
     assert 0.0 < tuned["cases"]["nominal"]["drift"] < 30.0  # [deg], a gyro's bias in ten seconds
     assert len(tuned["joint"]["ratios"]) == 2
     assert main([*words, "--draws", "0"]) == 0

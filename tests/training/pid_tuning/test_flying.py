@@ -12,6 +12,7 @@ from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.control.pid_table import mixer, pid_settings
 from neuroflight.sim.physics.variation import Variation
 from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.policy.gyro_filters import MEAN
 from neuroflight.training.evaluation.evaluation import record
 from neuroflight.training.learners.pathwise.flights import LANES
 from neuroflight.training.pid_tuning import flying
@@ -45,7 +46,7 @@ def twin_figures(aircraft: Aircraft, trials: FlyingTrials) -> tuple[np.ndarray, 
         throttle=np.array([throttle_for(aircraft, f.level, FLYING.idle) for f in flights], np.float32),
         idle=FLYING.idle,
         mix=Mix.CENTRED,
-        gyro_mean=True,
+        gyro_filters=MEAN,
         variation=replace(Variation.nominal(LANES, aircraft.propulsion.delay), delay_s=delay, lag=slow),
     )
     error = np.rad2deg((flown.setpoint - flown.rate)[:, 500:].astype(np.float64))

@@ -13,6 +13,7 @@ from neuroflight.sim.control.pid_table import pid_settings
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import AXES, GRAVITY, Mix
+from neuroflight.toolchain.policy.gyro_filters import MEAN
 from neuroflight.training.evaluation.controllers import Conditions, load_controller
 from neuroflight.training.evaluation.evaluation import Evaluation, figures
 from neuroflight.training.pid_tuning.dissertation import DissertationTrials
@@ -70,8 +71,8 @@ def test_search_by_flying_terms_begins_with_given_settings_and_keeps_to_its_term
     start = found.start.settings
     assert np.array(start.gains) == pytest.approx(np.maximum(given.gains, (1e-3, 1e-2, 1e-4)), abs=1e-4)
     assert len(found.trials) == 2 * POPULATION
-    assert {(t.settings.mix, t.settings.gyro_mean, t.settings.idle) for t in found.trials} == {
-        (Mix.CENTRED, True, IDLE)
+    assert {(t.settings.mix, t.settings.gyro_filters, t.settings.idle) for t in found.trials} == {
+        (Mix.CENTRED, MEAN, IDLE)
     }
     assert found.best.cost < found.start.cost
     assert trials.fly([found.best.settings]) == [found.best]
@@ -179,7 +180,7 @@ def test_command_writes_a_pid_to_fly_when_it_is_told_nothing_but_the_aircraft(
     mine = load_aircraft(target)
     settings = pid_settings(mine)
     assert next(iter(dict(mine.pids))) == "flying"
-    assert (settings.mix, settings.gyro_mean, settings.idle) == (Mix.CENTRED, True, IDLE)
+    assert (settings.mix, settings.gyro_filters, settings.idle) == (Mix.CENTRED, MEAN, IDLE)
     text = target.read_text()
     assert "# Found by `neuroflight pid tune --aircraft mine.toml --seed 1 --candidates 1`." in text
     assert (

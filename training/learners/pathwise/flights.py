@@ -140,6 +140,9 @@ class Flights:
             "light": light,
             "load": variation.thrust * variation.torque,
             "charge": charge,
+            "shake": np.where(
+                np.isnan(variation.vibration), max(aircraft.gyro.vibration), variation.vibration
+            ),
             "phase": phase,
             "setpoint": batch.setpoint[index].transpose(1, 2, 0),
             "throttle": batch.throttle[index].T,

@@ -22,7 +22,7 @@ import torch
 
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.control.estimator import observed_model
-from neuroflight.sim.control.gyro_mean import samples_per_step
+from neuroflight.sim.control.gyro_filter import samples_per_step
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.config.pathwise_config import PathwiseConfig
@@ -192,7 +192,8 @@ def _surroundings(aircraft: Aircraft, config: TrainingConfig, pathwise: Pathwise
         aircraft=aircraft,
         steps=round(config.task.duration_s * rate_hz),
         control_rate_hz=rate_hz,
-        samples=samples_per_step(config.gyro_mean, rate_hz),
+        samples=samples_per_step(config.gyro_filters, rate_hz),
+        filters=config.gyro_filters,
         terms=terms,
         scales=tuple(OBSERVATION_SCALES[term.name] for term in terms),
         mix=config.mixing,
@@ -202,6 +203,7 @@ def _surroundings(aircraft: Aircraft, config: TrainingConfig, pathwise: Pathwise
         of_motors=pathwise.change_of == "motors",
         soft=pathwise.soft,
         noise=config.world.noise,
+        shaken=config.world.randomization.vibration_deg_s is not None,
     )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse
 from neuroflight.sim.physics.battery import CELL_VOLTAGE, STATE_OF_CHARGE
 from neuroflight.sim.physics.esc import ELECTRICAL_TURN
-from neuroflight.sim.physics.imu import rotation_by
+from neuroflight.sim.physics.imu import rotation_by, vibration_axes
 from neuroflight.sim.physics.rotor import rotor_geometry
 from neuroflight.toolchain.contract import (
     ESC_MANTISSA_BITS,
@@ -22,12 +22,15 @@ from neuroflight.toolchain.contract import (
     MOTOR_POLES_DEFAULT,
     OBSERVATION_BLOCKS,
     RATE_ERROR_INTEGRAL_LIMIT_RAD,
+    RPM_FILTER_FADE_HZ,
+    RPM_FILTER_HIGHEST,
     Mix,
     ObservationTerm,
     hears_rotors,
     measures_rotors,
     needs_model,
 )
+from neuroflight.toolchain.policy.gyro_filters import GyroFilters, RpmFilter
 from neuroflight.toolchain.policy.model_constants import ModelConstants
 from neuroflight.training.learners.network.library import load
 from neuroflight.training.learners.network.shape import Shape
@@ -42,6 +45,7 @@ class Surroundings:
     steps: int  # control steps of an episode
     control_rate_hz: int
     samples: int  # of the gyro, and steps of the physics, in a control step
+    filters: GyroFilters  # of the gyro
     terms: tuple[ObservationTerm, ...]
     scales: tuple[float, ...]  # of the network's input, one a term
     mix: Mix
@@ -53,6 +57,7 @@ class Surroundings:
     )
     soft: float = 0.0  # [deg/s], of the loss: see PathwiseConfig
     noise: bool = True  # of the gyro
+    shaken: bool = False  # whether its vibration is drawn for each aircraft
     rounded: bool = True  # the gyro has counts, and ESCs have steps
 
     @property
@@ -64,11 +69,14 @@ class Surroundings:
         """Make the plan for C. battery: True if any aircraft flies on one."""
         made = load("pathwise", number).ffi.new("struct plan *")
         made.steps, made.samples = self.steps, self.samples
+        made.seen = self.samples if self.filters.mean else 1
         made.rounded = self.rounded
         put_aircraft(made, self.aircraft, self.dt)
         if battery:
             self._pack(made.pack)
         self._gyro(made.gyro)
+        if self.filters.rpm is not None:
+            self._notches(made.notches, self.filters.rpm)
         self._controller(made.controller)
         made.loss.of_motors, made.loss.soft = self.of_motors, self.soft
         made.loss.change_scale = self.control_rate_hz / 1000.0 if self.of_motors else 1.0
@@ -102,9 +110,17 @@ class Surroundings:
         made.turn = rotation_by(np.array(gyro.misalignment)).ravel().tolist()
         if gyro.bandwidth_hz is not None:
             made.follow = -math.expm1(-2.0 * math.pi * gyro.bandwidth_hz * self.dt)
-        made.vibrates = any(gyro.vibration)
-        made.amplitude = list(gyro.vibration)
+        made.vibrates = self.shaken or any(gyro.vibration)
+        made.amplitude, harmonics = vibration_axes(gyro)
+        _fill(made.harmonics, np.array(harmonics))
         made.speed_max = self.aircraft.propulsion.speed_max
+
+    def _notches(self, made: Any, rpm: RpmFilter) -> None:  # noqa: ANN401
+        made.harmonics, made.damping = rpm.harmonics, 1.0 / rpm.q
+        made.turns = self.dt / (2.0 * math.pi)
+        made.least, made.highest = rpm.min_hz * self.dt, RPM_FILTER_HIGHEST
+        made.fade = 1.0 / (RPM_FILTER_FADE_HZ * self.dt)
+        made.least_gain = math.tan(math.pi * made.least)
 
     def _controller(self, made: Any) -> None:  # noqa: ANN401
         rate_hz, motors = self.control_rate_hz, self.aircraft.motor_count

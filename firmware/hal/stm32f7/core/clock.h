@@ -9,6 +9,7 @@
 #define CLOCK_CORE_HZ 216000000u
 #define CLOCK_APB1_HZ 54000000u
 #define CLOCK_APB2_HZ 108000000u
+#define CLOCK_TIM5_HZ 108000000u /* twice APB1, likewise */
 #define CLOCK_TIM1_HZ 216000000u /* twice APB2, because APB2 is divided (RM0431 5.2) */
 
 /* Goes to 216 MHz with over-drive and 7 flash wait states, the crystal watched (its failure raises the NMI). A crystal

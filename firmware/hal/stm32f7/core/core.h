@@ -10,13 +10,16 @@
  *   priority             who                        how often      how long
  *   PRIORITY_FAULT       all faults, clock failure  never          to the reset, motors stopped
  *   PRIORITY_GYRO_EDGE   EXTI, data-ready           8 kHz          < 2 us: starts a read every n-th edge
- *   PRIORITY_MOTORS      a DMA stream, frame sent   gyro rate      < 1 us: listens to the answers; motor_telemetry alone
+ *   PRIORITY_MOTORS      a DMA stream, frame sent   gyro rate      < 1 us: listens to the answers; motor_telemetry alone,
+ *                        or answers stored                         likewise: has them decoded
+ *   PRIORITY_ANSWERS     PendSV                     gyro rate      < 20 us: decodes them; motor_telemetry alone
  *   PRIORITY_SAMPLE      a DMA stream, read done    gyro rate      the control path, < 1 gyro period
  *   PRIORITY_TICK        SysTick                    1 kHz          < 1 us: counts milliseconds; a silent gyro's step,
  *                                                                  stop frames until the program sends its own
  *   (thread)             background, MSP, sleep     the rest
  *
- * Samples and the tick share a priority, so that neither interrupts the other: both may step the core. Erasing and
+ * Samples, answers and the tick share a priority, so that none interrupts another: samples and the tick may step the core,
+ * which reads the answers. Of those that wait, answers come first (ARMv7-M B1.5.4: the lowest exception). Erasing and
  * programming flash mask all of it but faults. */
 enum priority {
 	PRIORITY_FAULT = 0,
@@ -24,6 +27,7 @@ enum priority {
 	PRIORITY_MOTORS = 2,
 	PRIORITY_SAMPLE = 3,
 	PRIORITY_TICK = PRIORITY_SAMPLE,
+	PRIORITY_ANSWERS = PRIORITY_SAMPLE,
 };
 
 /* Normal memory (DMA buffers) and device registers are not ordered against each other without it. */

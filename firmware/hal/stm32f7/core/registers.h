@@ -88,6 +88,7 @@
 #define RCC_AHB2ENR REGISTER(0x40023834u)
 #define RCC_AHB2ENR_OTGFSEN BIT(7)
 #define RCC_APB1ENR REGISTER(0x40023840u)
+#define RCC_APB1ENR_TIM5EN BIT(3)
 #define RCC_APB1ENR_SPI2EN BIT(14)
 #define RCC_APB1ENR_SPI3EN BIT(15)
 #define RCC_APB1ENR_USART2EN BIT(17)
@@ -197,14 +198,17 @@
 #define IWDG_SR_PVU BIT(0)
 #define IWDG_SR_RVU BIT(1)
 
-/* --- Timers (RM0431 chapter TIM1/TIM8) ------------------------------------------------------ */
+/* --- Timers (RM0431 chapters TIM1/TIM8 and TIM2/TIM3/TIM4/TIM5) ------------------------------ */
 #define TIM1 0x40010000u
+#define TIM5 0x40000C00u /* its counter has 32 bits */
 #define TIM_CR1(timer) REGISTER((timer) + 0x00u)
 #define TIM_CR1_CEN BIT(0)
 #define TIM_CR2(timer) REGISTER((timer) + 0x04u)
 #define TIM_CR2_CCDS BIT(3)
 #define TIM_DIER(timer) REGISTER((timer) + 0x0Cu)
+#define TIM_DIER_UIE BIT(0)
 #define TIM_DIER_CC1DE BIT(9) /* of channel 1; those of 2 to 4 follow */
+#define TIM_SR(timer) REGISTER((timer) + 0x10u)
 #define TIM_EGR(timer) REGISTER((timer) + 0x14u)
 #define TIM_EGR_UG BIT(0)
 #define TIM_CNT(timer) REGISTER((timer) + 0x24u)
@@ -354,6 +358,7 @@
 /* --- System control block (ARMv7-M B3.2), caches (B3.2, Cortex-M7 TRM 4.4) ----------------- */
 #define SCB_ICSR REGISTER(0xE000ED04u)
 #define SCB_ICSR_VECTACTIVE BITS(0, 9)
+#define SCB_ICSR_PENDSVSET BIT(28)
 #define SCB_VTOR REGISTER(0xE000ED08u)
 #define SCB_AIRCR REGISTER(0xE000ED0Cu)
 #define SCB_AIRCR_SYSRESETREQ BIT(2)
@@ -364,6 +369,7 @@
 #define SCB_CCR_DC BIT(16)
 #define SCB_CCR_IC BIT(17)
 #define SCB_SHPR3 REGISTER(0xE000ED20u)
+#define SCB_SHPR3_PRI_14 BITS(16, 8)
 #define SCB_SHPR3_PRI_15 BITS(24, 8)
 #define SCB_SHCSR REGISTER(0xE000ED24u)
 #define SCB_SHCSR_MEMFAULTENA BIT(16)
@@ -428,6 +434,7 @@
 #define IRQ_EXTI9_5 23u
 #define IRQ_EXTI15_10 40u
 #define IRQ_DMA1_STREAM7 47u
+#define IRQ_TIM5 50u
 #define IRQ_DMA2_STREAM0 56u
 #define IRQ_DMA2_STREAM1 57u
 #define IRQ_DMA2_STREAM2 58u

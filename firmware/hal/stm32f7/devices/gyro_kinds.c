@@ -1,5 +1,7 @@
 #include "hal/stm32f7/devices/gyro_kinds.h"
 
+#include <string.h>
+
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/time.h"
 
@@ -15,6 +17,10 @@ struct step {
 #define UNREAD 1u /* it clears itself, or its reserved bits need not be told */
 #define SETTLES 2u /* SETTLE_MS pass before the next */
 #define RESETS (UNREAD | SETTLES)
+#define WAITS 4u /* so do WAIT_MS */
+#define WAIT_MS 25u
+#define LOADS 8u /* instead of the value the maker's configuration is written there */
+#define ASKS 16u /* it is not written: its lower half has to be the value */
 
 /* --- InvenSense, first family -------------------------------------------------------------------------------
  * MPU-6500 register map and descriptions (RM-MPU-6500A-00), section 4; the ICM-20689 (DS-000143) has the same
@@ -29,6 +35,7 @@ enum mpu_register {
 	MPU_ACCEL_CONFIG2 = 0x1D, /* not the MPU-6000's, whose accelerometer goes through the gyro's filter */
 	MPU_INT_PIN_CFG = 0x37,
 	MPU_INT_ENABLE = 0x38,
+	MPU_INT_STATUS = 0x3A, /* a read clears it */
 	MPU_ACCEL_XOUT_H = 0x3B,
 	MPU_SIGNAL_PATH_RESET = 0x68,
 	MPU_USER_CTRL = 0x6A,
@@ -59,7 +66,10 @@ static const struct step mpu6000[] = { MPU_STEPS(MPU_USER_CTRL, 0x10, 0x07, SCAL
 static const struct step icm20602[] = { MPU_STEPS(MPU_I2C_IF, 0x40, 0x03, SCALE_3), MPU_CALM };
 static const struct step icm20689[] = { MPU_STEPS(MPU_USER_CTRL, 0x10, 0x03, SCALE_3), MPU_CALM };
 static const struct step icm20601[] = { MPU_STEPS(MPU_USER_CTRL, 0x10, 0x03, SCALE_2), MPU_CALM };
-static const struct gyro_layout mpu_layout = { MPU_ACCEL_XOUT_H | READ, 7, 1, 9, 0, false };
+static const struct gyro_layout mpu_layouts[] = {
+	{ MPU_ACCEL_XOUT_H | READ, 15, 7, 1, 9, 0, false, 0, 0 },
+	{ MPU_INT_STATUS | READ, 16, 8, 2, 10, 0, false, 1, 0x01 },
+};
 
 /* --- InvenSense, second family ------------------------------------------------------------------------------
  * ICM-42688-P (DS-000347) as the register headers of PX4 and Zephyr tell of it, and ICM-42605 (DS-000292), whose map is
@@ -109,7 +119,10 @@ enum icm_register {
 
 static const struct step icm42688p[] = { ICM_STEPS(6, 36, 10, 3, 9, 12) };   /* 258 Hz, 126 Hz */
 static const struct step icm42605[] = { ICM_STEPS(21, 440, 6, 11, 122, 8) }; /* 249 Hz, 122 Hz */
-static const struct gyro_layout icm_layout = { ICM_TEMP_DATA1 | READ, 1, 3, 9, 0, false };
+static const struct gyro_layout icm_layouts[] = {
+	{ ICM_TEMP_DATA1 | READ, 15, 1, 3, 9, 0, false, 0, 0 },
+	{ ICM_TEMP_DATA1 | READ, 18, 1, 3, 9, 0, false, 17, 0x08 }, /* up to INT_STATUS, which a read clears */
+};
 
 /* --- ST -----------------------------------------------------------------------------------------------------
  * LSM6DSV16X as ST's driver tells of it, and LSM6DSK320X, whose registers are taken for the same here. */
@@ -125,6 +138,7 @@ enum lsm_register {
 	LSM_CTRL7 = 0x16,
 	LSM_CTRL8 = 0x17,
 	LSM_CTRL9 = 0x18,
+	LSM_STATUS = 0x1E,
 	LSM_OUT_TEMP_L = 0x20, /* then gyro and accelerometer */
 	LSM_HAODR_CFG = 0x62,
 };
@@ -143,39 +157,79 @@ static const struct step lsm6dsv[] = {
 	{ LSM_CTRL1, 0x19, 0 },     /* high accuracy, 1 kHz */
 	{ LSM_CTRL2, 0x1C, SETTLES }, /* high accuracy, 8 kHz */
 };
-static const struct gyro_layout lsm_layout = { LSM_OUT_TEMP_L | READ, 1, 9, 3, 1, true };
+static const struct gyro_layout lsm_layouts[] = {
+	{ LSM_OUT_TEMP_L | READ, 15, 1, 9, 3, 1, true, 0, 0 },
+	{ LSM_STATUS | READ, 17, 3, 11, 5, 1, true, 1, 0x02 }, /* which a read of the gyro clears */
+};
+
+/* --- Bosch --------------------------------------------------------------------------------------------------
+ * BMI270 as Bosch's BMI270_SensorAPI tells of it (registers, the order of the load, 450 us behind power save, 20 ms until
+ * INTERNAL_STATUS, STATUS as the word that data are new), and Betaflight, whose pilots fly it so (the short configuration,
+ * the filter). It comes out of a reset listening to I2C, until a transaction on SPI has ended. Its gyro has 3200 Hz at most,
+ * which no control rate divides: it is read at a timer's beat. */
+enum bmi_register {
+	BMI_CHIP_ID = 0x00,
+	BMI_STATUS = 0x03, /* then, among others, accelerometer, gyro and temperature */
+	BMI_INTERNAL_STATUS = 0x21,
+	BMI_ACC_CONF = 0x40,
+	BMI_ACC_RANGE = 0x41,
+	BMI_GYR_CONF = 0x42,
+	BMI_GYR_RANGE = 0x43,
+	BMI_INIT_CTRL = 0x59,
+	BMI_INIT_DATA = 0x5E,
+	BMI_PWR_CONF = 0x7C,
+	BMI_PWR_CTRL = 0x7D,
+	BMI_CMD = 0x7E,
+};
+static const struct step bmi270[] = {
+	{ BMI_CMD, 0xB6, UNREAD | WAITS }, /* a reset */
+	{ BMI_CHIP_ID, 0x00, UNREAD }, /* which cannot be written: a transaction, so that it listens to SPI */
+	{ BMI_PWR_CONF, 0x00, UNREAD | WAITS }, /* no power save */
+	{ BMI_INIT_CTRL, 0x00, 0 },
+	{ BMI_INIT_DATA, 0x00, LOADS },
+	{ BMI_INIT_CTRL, 0x01, UNREAD | WAITS },
+	{ BMI_INTERNAL_STATUS, 0x01, ASKS }, /* it runs what was loaded */
+	{ BMI_ACC_CONF, 0x8B, 0 }, /* 800 Hz, the strongest low-pass */
+	{ BMI_ACC_RANGE, 0x03, 0 }, /* +-16 g */
+	{ BMI_GYR_CONF, 0xCD, 0 }, /* 3200 Hz, low noise, the strongest low-pass */
+	{ BMI_GYR_RANGE, 0x00, 0 }, /* +-2000 deg/s */
+	{ BMI_PWR_CTRL, 0x0E, SETTLES }, /* gyro, accelerometer, temperature */
+};
+/* A dummy byte comes first. */
+static const struct gyro_layout bmi_layouts[] = {
+	{ BMI_STATUS | READ, 35, 33, 11, 17, 1, false, 2, 0x40 },
+	{ BMI_STATUS | READ, 35, 33, 11, 17, 1, false, 2, 0x40 },
+};
 
 /* --- All of them -------------------------------------------------------------------------------------------- */
-enum { BOSCH_CHIP_ID = 0x00 }; /* a read's first byte says nothing */
 
 #define STEPS_OF(list) list, sizeof list / sizeof list[0]
 
 static const struct kind {
 	uint8_t told_at; /* the register of NF_GYRO_IDENTITIES */
 	enum spi_speed speed;
-	const struct gyro_layout *layout;
-	const struct step *steps; /* NULL: it is known, and not flown */
+	const struct gyro_layout *layouts; /* of reads at edges, and timed ones */
+	const struct step *steps;
 	size_t count;
 } kinds[] = {
 	/* 20 MHz at most */
-	[GYRO_MPU6500] = { MPU_WHO_AM_I, SPI_13M5, &mpu_layout, STEPS_OF(mpu6500) },
-	[GYRO_MPU6000] = { MPU_WHO_AM_I, SPI_13M5, &mpu_layout, STEPS_OF(mpu6000) },
+	[GYRO_MPU6500] = { MPU_WHO_AM_I, SPI_13M5, mpu_layouts, STEPS_OF(mpu6500) },
+	[GYRO_MPU6000] = { MPU_WHO_AM_I, SPI_13M5, mpu_layouts, STEPS_OF(mpu6000) },
 	/* likewise by its data sheet, but PX4 keeps to 10 */
-	[GYRO_MPU9250] = { MPU_WHO_AM_I, SPI_6M75, &mpu_layout, STEPS_OF(mpu6500) },
+	[GYRO_MPU9250] = { MPU_WHO_AM_I, SPI_6M75, mpu_layouts, STEPS_OF(mpu6500) },
 	/* 10 MHz */
-	[GYRO_ICM20602] = { MPU_WHO_AM_I, SPI_6M75, &mpu_layout, STEPS_OF(icm20602) },
+	[GYRO_ICM20602] = { MPU_WHO_AM_I, SPI_6M75, mpu_layouts, STEPS_OF(icm20602) },
 	/* 8 MHz */
-	[GYRO_ICM20689] = { MPU_WHO_AM_I, SPI_6M75, &mpu_layout, STEPS_OF(icm20689) },
-	[GYRO_ICM20601] = { MPU_WHO_AM_I, SPI_6M75, &mpu_layout, STEPS_OF(icm20601) },
-	[GYRO_ICM20608G] = { MPU_WHO_AM_I, SPI_6M75, &mpu_layout, STEPS_OF(icm20689) },
+	[GYRO_ICM20689] = { MPU_WHO_AM_I, SPI_6M75, mpu_layouts, STEPS_OF(icm20689) },
+	[GYRO_ICM20601] = { MPU_WHO_AM_I, SPI_6M75, mpu_layouts, STEPS_OF(icm20601) },
+	[GYRO_ICM20608G] = { MPU_WHO_AM_I, SPI_6M75, mpu_layouts, STEPS_OF(icm20689) },
 	/* 24 MHz */
-	[GYRO_ICM42688P] = { MPU_WHO_AM_I, SPI_13M5, &icm_layout, STEPS_OF(icm42688p) },
-	[GYRO_ICM42605] = { MPU_WHO_AM_I, SPI_13M5, &icm_layout, STEPS_OF(icm42605) },
+	[GYRO_ICM42688P] = { MPU_WHO_AM_I, SPI_13M5, icm_layouts, STEPS_OF(icm42688p) },
+	[GYRO_ICM42605] = { MPU_WHO_AM_I, SPI_13M5, icm_layouts, STEPS_OF(icm42605) },
 	/* 10 MHz */
-	[GYRO_LSM6DSV16X] = { LSM_WHO_AM_I, SPI_6M75, &lsm_layout, STEPS_OF(lsm6dsv) },
-	[GYRO_LSM6DSK320X] = { LSM_WHO_AM_I, SPI_6M75, &lsm_layout, STEPS_OF(lsm6dsv) },
-	/* It measures only after its maker's configuration file is in it. */
-	[GYRO_BMI270] = { BOSCH_CHIP_ID, SPI_6M75, NULL, NULL, 0 },
+	[GYRO_LSM6DSV16X] = { LSM_WHO_AM_I, SPI_6M75, lsm_layouts, STEPS_OF(lsm6dsv) },
+	[GYRO_LSM6DSK320X] = { LSM_WHO_AM_I, SPI_6M75, lsm_layouts, STEPS_OF(lsm6dsv) },
+	[GYRO_BMI270] = { BMI_CHIP_ID, SPI_6M75, bmi_layouts, STEPS_OF(bmi270) },
 };
 _Static_assert(sizeof kinds / sizeof kinds[0] == NF_GYRO_IDENTITIES_COUNT, "a kind for each chip");
 
@@ -186,10 +240,11 @@ static bool kinds_write(gyro_exchange *exchange, uint8_t address, uint8_t value)
 	return exchange(bytes, sizeof bytes);
 }
 
-static bool kinds_read(gyro_exchange *exchange, uint8_t address, uint8_t *value)
+/* dummies: bytes before the value. */
+static bool kinds_read(gyro_exchange *exchange, uint8_t address, size_t dummies, uint8_t *value)
 {
 	uint8_t bytes[3] = { (uint8_t)(address | READ), 0, 0 };
-	const size_t count = address == BOSCH_CHIP_ID ? 3u : 2u;
+	const size_t count = 2u + dummies;
 	const bool moved = exchange(bytes, count);
 
 	*value = bytes[count - 1u];
@@ -214,47 +269,64 @@ static bool kinds_find(uint8_t told_at, uint8_t identity, enum gyro_chip *chip)
  * known is written to. */
 __attribute__((cold)) bool gyro_identify(gyro_exchange *exchange, uint8_t *identity, enum gyro_chip *chip)
 {
-	static const uint8_t places[] = { MPU_WHO_AM_I, LSM_WHO_AM_I, BOSCH_CHIP_ID };
+	static const uint8_t places[] = { MPU_WHO_AM_I, LSM_WHO_AM_I, BMI_CHIP_ID };
 	uint8_t told;
 
-	if (!kinds_read(exchange, MPU_WHO_AM_I, identity))
+	if (!kinds_read(exchange, MPU_WHO_AM_I, 0, identity))
 		return false;
 	for (size_t i = 0; i < sizeof places; ++i)
-		if (kinds_read(exchange, places[i], &told) && kinds_find(places[i], told, chip)) {
+		if (kinds_read(exchange, places[i], places[i] == BMI_CHIP_ID, &told) &&
+		    kinds_find(places[i], told, chip)) {
 			*identity = told;
 			return true;
 		}
-	if (!kinds_read(exchange, ICM_REG_BANK_SEL, &told) || told < 1u || told > ICM_BANK_LAST ||
-	    !kinds_write(exchange, ICM_REG_BANK_SEL, 0) || !kinds_read(exchange, MPU_WHO_AM_I, &told) ||
+	if (!kinds_read(exchange, ICM_REG_BANK_SEL, 0, &told) || told < 1u || told > ICM_BANK_LAST ||
+	    !kinds_write(exchange, ICM_REG_BANK_SEL, 0) || !kinds_read(exchange, MPU_WHO_AM_I, 0, &told) ||
 	    !kinds_find(MPU_WHO_AM_I, told, chip))
 		return false;
 	*identity = told;
 	return true;
 }
 
+/* In one transaction, as the chip counts the bytes from INIT_CTRL on. */
+static __attribute__((noinline)) bool kinds_load(gyro_exchange *exchange, uint8_t address)
+{
+	uint8_t bytes[1u + NF_GYRO_FILE_BYTES] = { address };
+
+	memcpy(bytes + 1, gyro_file, NF_GYRO_FILE_BYTES);
+	return gyro_file[0] != 0u && exchange(bytes, sizeof bytes);
+}
+
+static bool kinds_step(gyro_exchange *exchange, const struct step *step, size_t dummies)
+{
+	uint8_t kept = step->value;
+
+	if ((step->flags & LOADS) != 0u)
+		return kinds_load(exchange, step->address);
+	if ((step->flags & ASKS) == 0u && !kinds_write(exchange, step->address, step->value))
+		return false;
+	if ((step->flags & UNREAD) == 0u && !kinds_read(exchange, step->address, dummies, &kept))
+		return false;
+	if ((step->flags & ASKS) != 0u)
+		kept &= 0x0Fu;
+	if ((step->flags & (SETTLES | WAITS)) != 0u)
+		time_delay_ms((step->flags & SETTLES) != 0u ? SETTLE_MS : WAIT_MS);
+	return kept == step->value;
+}
+
 __attribute__((cold)) bool gyro_set_up(gyro_exchange *exchange, enum gyro_chip chip)
 {
 	const struct kind *const kind = &kinds[chip];
+	bool right = true;
 
-	for (size_t i = 0; i < kind->count; ++i) {
-		const struct step *const step = &kind->steps[i];
-		uint8_t kept = step->value;
-
-		if (!kinds_write(exchange, step->address, step->value))
-			return false;
-		if ((step->flags & UNREAD) == 0u && !kinds_read(exchange, step->address, &kept))
-			return false;
-		if (kept != step->value)
-			return false;
-		if ((step->flags & SETTLES) != 0u)
-			time_delay_ms(SETTLE_MS);
-	}
-	return kind->steps != NULL;
+	for (size_t i = 0; i < kind->count && right; ++i)
+		right = kinds_step(exchange, &kind->steps[i], chip == GYRO_BMI270);
+	return right;
 }
 
-const struct gyro_layout *gyro_layout(enum gyro_chip chip)
+const struct gyro_layout *gyro_layout(enum gyro_chip chip, bool timed)
 {
-	return kinds[chip].layout;
+	return &kinds[chip].layouts[timed];
 }
 
 enum spi_speed gyro_speed(enum gyro_chip chip)

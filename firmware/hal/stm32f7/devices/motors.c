@@ -1,5 +1,6 @@
 #include "hal/stm32f7/devices/devices.h"
 
+#include "common/words.h"
 #include "hal/stm32f7/core/board.h"
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
@@ -19,7 +20,7 @@
  *
  * With the setting motor_telemetry the lines rest high, pulses are low, and each frame is answered on the same line: when
  * the last word is written an interrupt turns the pins into inputs, and the same streams, three times a bit of the answer,
- * store the port's levels. The next frame, or whoever asks for the answers, finds them there. */
+ * store the port's levels. When the last one is stored they are decoded, between two runs of the control path. */
 #define FRAME_BITS 16u
 #define WORDS_A_BIT 3u
 #define REST_WORDS 6u          /* behind the last bit: no frame may follow without a rest of two bits */
@@ -33,7 +34,7 @@
 #define SAMPLES_OF_US(us, hz) (((us) * (hz) + 999999u) / 1000000u)
 #define ANSWER_PAIRS(hz) ((SAMPLES_OF_US(ANSWER_LATEST_US, hz) + DSHOT_ANSWER_SAMPLES + 1u) / 2u)
 
-#define GROUP 4u /* motors that one table serves */
+#define GROUP 4u /* motors that one table serves, and whose frames are made side by side */
 #define GROUPS (NF_MOTOR_COUNT_MAX / GROUP)
 
 /* Speeds of a protocol. */
@@ -57,8 +58,9 @@ static const struct speed {
 };
 #define PAIRS_MAX ANSWER_PAIRS(SAMPLE_HZ(600000u))
 
-static DMA_BUFFER_SLOW uint32_t motor_words[NF_BOARD_MOTOR_PORTS_MAX][FRAME_WORDS];
-/* DMA writes these, yet not to DTCM, which is the policy's: read once a control step, each word costs some cycles more. */
+/* Of each word, as of BSRR, the halves: pins that are set, pins that are reset. */
+static DMA_BUFFER_SLOW uint16_t motor_words[NF_BOARD_MOTOR_PORTS_MAX][FRAME_WORDS][2];
+/* DMA writes these, yet not to DTCM, which is the policy's: each word that is read costs some cycles more. */
 static DMA_BUFFER_SLOW uint32_t motor_samples[NF_BOARD_MOTOR_PORTS_MAX][PAIRS_MAX];
 
 /* A port that motors are wired to. Set by motors_run. */
@@ -67,9 +69,8 @@ static struct motor_port {
 	uint32_t port;  /* GPIOA.. */
 	uint32_t pins;  /* of motors in use */
 	uint32_t modes; /* the lower bit of each of their fields in GPIO_MODER */
-	uint16_t
-		zeros[GROUPS]
-		     [1u << GROUP]; /* pins of zeros, for each pattern of four motors' bits, the first motor's lowest */
+	/* Pins of zeros, for each pattern of four motors' bits, the first motor's lowest. */
+	uint16_t zeros[GROUPS][1u << GROUP];
 } ports[NF_BOARD_MOTOR_PORTS_MAX];
 
 /* Set by motors_run. */
@@ -88,9 +89,10 @@ static struct {
 static volatile enum phase {
 	RESTING, /* a frame may be sent, or is one that nobody answers */
 	SENDING, /* a frame that will be answered */
-	LISTENING, /* the pins are inputs, and the streams store samples, or have */
+	LISTENING, /* the pins are inputs, and the streams store samples, or have: they are not decoded yet */
 } phase;
-static uint16_t answers[NF_MOTOR_COUNT_MAX];
+static _Alignas(4) uint16_t answers[NF_MOTOR_COUNT_MAX]; /* the newest */
+static int16_t learned[NF_BOARD_MOTOR_PORTS_MAX][DSHOT_PORT_LINES]; /* of how long their bits are */
 
 /* Frame and answer have long ended by the fourth write from theirs on: they take 99 us with DShot600 and 282 us with
  * DShot150, and writes come each 125 us at 8 kHz. A stream that is enabled at so many in a row gets no requests any more,
@@ -98,10 +100,10 @@ static uint16_t answers[NF_MOTOR_COUNT_MAX];
 #define STUCK_WRITES 4u
 static uint32_t writes_dropped, restarts;
 
-/* The word for BSRR that begins or ends pulses. */
-static uint32_t motors_edge(uint32_t pins, bool begins)
+/* The half of a word that begins or ends pulses: a place in `motor_words`. */
+static uint32_t motors_half(bool begins)
 {
-	return begins != setup.telemetry ? pins : pins << 16;
+	return begins != setup.telemetry ? 0u : 1u;
 }
 
 static void motors_forget(void)
@@ -136,8 +138,12 @@ static __attribute__((cold)) void motors_start_port(const struct board_motor_por
 	setup.requests |= TIM_DIER_CC1DE << (described->channel - 1u);
 	if (self->stream.at > ports[setup.last].stream.at)
 		setup.last = number;
-	for (uint32_t i = 0; i < FRAME_WORDS; ++i)
-		motor_words[number][i] = motors_edge(self->pins, i < WORDS_A_BIT * FRAME_BITS && i % WORDS_A_BIT == 0u);
+	for (uint32_t i = 0; i < FRAME_WORDS; ++i) {
+		const bool begins = i < WORDS_A_BIT * FRAME_BITS && i % WORDS_A_BIT == 0u;
+
+		motor_words[number][i][motors_half(begins)] = (uint16_t)self->pins;
+		motor_words[number][i][motors_half(!begins)] = 0;
+	}
 }
 
 /* The lines rest from here on. */
@@ -150,7 +156,7 @@ static __attribute__((cold, noinline)) void motors_start_timer(void)
 	TIM_EGR(TIM1) = TIM_EGR_UG;
 	TIM_CR1(TIM1) = TIM_CR1_CEN;
 	for (uint32_t i = 0; i < setup.ports; ++i)
-		GPIO_BSRR(ports[i].port) = motors_edge(ports[i].pins, false);
+		GPIO_BSRR(ports[i].port) = ports[i].pins << 16u * motors_half(false);
 }
 
 /* Runs once: small rather than quick, unlike the frames. */
@@ -168,8 +174,10 @@ __attribute__((cold)) void motors_run(uint32_t protocol, bool telemetry, size_t 
 		motors_start_port(&board.motor_ports[i]);
 	motors_start_timer();
 	motor_pins_connect(count, telemetry);
-	if (telemetry)
+	if (telemetry) {
+		SCB_SHPR3 = (SCB_SHPR3 & ~SCB_SHPR3_PRI_14) | FIELD(SCB_SHPR3_PRI_14, PRIORITY_ANSWERS << 4);
 		interrupt_enable(ports[setup.last].stream.interrupt, PRIORITY_MOTORS);
+	}
 	barrier();
 }
 
@@ -219,70 +227,111 @@ static void motors_pace(uint32_t ticks)
 	TIM_DIER(TIM1) = setup.requests;
 }
 
-/* The frame's last word is written: of the streams that are asked at the same time the one with the highest number comes
- * last (RM0431 8.3.4, arbiter). If another one has not ended nobody listens, and the writes find it stuck. */
-void motors_sent_handler(void)
+/* The pins listen from here on. */
+static void motors_listen(void)
 {
-	dma_clear(ports[setup.last].stream);
-	barrier(); /* cleared before the handler can return, or it would run twice */
-	if (phase != SENDING || motors_moving())
-		return;
 	TIM_DIER(TIM1) = 0;
 	for (uint32_t i = 0; i < setup.ports; ++i) {
 		const struct motor_port *const self = &ports[i];
 
 		GPIO_MODER(self->port) &= ~self->modes; /* inputs, with the pull-up that they have */
-		dma_setup(self->stream, &GPIO_IDR(self->port), DMA_FROM_PERIPHERAL, DMA_HALF_WORD, DMA_VERY_HIGH, 0);
+		dma_setup(self->stream, &GPIO_IDR(self->port), DMA_FROM_PERIPHERAL, DMA_HALF_WORD, DMA_VERY_HIGH,
+			  i == setup.last ? DMA_SCR_TCIE : 0u);
 		dma_start(self->stream, motor_samples[i], 2u * setup.speed->pairs);
 	}
 	motors_pace(setup.speed->sample_ticks);
 	phase = LISTENING;
 }
 
-void motors_read(void *context, uint16_t words[NF_MOTOR_COUNT_MAX])
+/* A frame's last word is written, or the last sample of its answers: of the streams that are asked at the same time the one
+ * with the highest number comes last (RM0431 8.3.4, arbiter). If another one has not ended nobody listens, or reads, and the
+ * writes find it stuck. */
+void motors_moved_handler(void)
 {
-	if (phase == LISTENING && !motors_moving()) {
-		uint16_t lines[NF_BOARD_MOTOR_PORTS_MAX * DSHOT_PORT_LINES];
-
-		barrier();
-		for (uint32_t i = 0; i < setup.ports; ++i)
-			dshot_telemetry_decode(motor_samples[i], setup.speed->pairs, setup.speed->earliest,
-					       ports[i].pins, lines + DSHOT_PORT_LINES * i);
-		for (uint32_t i = 0; i < setup.motors; ++i)
-			answers[i] = lines[setup.places[i]];
-		phase = RESTING;
-	}
-	for (uint32_t i = 0; i < NF_MOTOR_COUNT_MAX; ++i)
-		words[i] = answers[i];
+	dma_clear(ports[setup.last].stream);
+	barrier(); /* cleared before the handler can return, or it would run twice */
+	if (motors_moving())
+		return;
+	if (phase == SENDING)
+		motors_listen();
+	else if (phase == LISTENING)
+		SCB_ICSR = SCB_ICSR_PENDSVSET;
 }
 
-/* Two frames side by side. */
-struct pair {
-	uint32_t even, odd; /* motors 1 and 3 of a group, 2 and 4 */
-};
-#define BOTH 0x00010001u
-
-/* The words of a port that differ from frame to frame. */
-static void motors_fill(const struct motor_port *self, uint32_t *words, const struct pair pairs[GROUPS])
+/* Neither interrupts the control path nor is interrupted by it, which reads and writes between two runs of this. */
+void motors_answers_handler(void)
 {
-	const uint32_t end = setup.telemetry ? 0u : 16u; /* of BSRR: sets, or resets */
+	uint16_t lines[NF_BOARD_MOTOR_PORTS_MAX * DSHOT_PORT_LINES];
 
-	for (uint32_t bit = FRAME_BITS; bit-- > 0;) {
-		uint32_t pins = 0;
+	if (phase != LISTENING)
+		return; /* the streams have been ended meanwhile */
+	barrier();
+	for (uint32_t i = 0; i < setup.ports; ++i)
+		dshot_telemetry_decode(motor_samples[i], setup.speed->pairs, setup.speed->earliest, ports[i].pins,
+				       learned[i], lines + DSHOT_PORT_LINES * i);
+	for (uint32_t i = 0; i < setup.motors; ++i)
+		answers[i] = lines[setup.places[i]];
+	phase = RESTING;
+}
 
-		for (uint32_t group = 0; GROUP * group < setup.motors; ++group) {
-			const uint32_t bits = (pairs[group].even >> bit & BOTH) | (pairs[group].odd >> bit & BOTH) << 1;
+void motors_read(void *context, uint16_t words[NF_MOTOR_COUNT_MAX])
+{
+	words_copy(words, answers, sizeof answers);
+}
 
-			pins |= self->zeros[group][(bits | bits >> 14) % (1u << GROUP)];
+/* A byte of each of four frames, motors 1, 3, 2 and 4 from the lowest on. */
+#define EACH 0x01010101u
+#define EVEN_BYTES 0x00FF00FFu
+/* Times a bit of each byte: the four of them side by side above bit 24, the first motor's lowest. */
+#define GATHER (1u << 24 | 1u << 18 | 1u << 9 | 1u << 3)
+
+struct frames {
+	uint32_t first, last; /* bytes: a frame's first eight bits, its last eight */
+};
+
+/* `values`: of four motors, two in a word. */
+static inline struct frames motors_frames(const uint32_t values[GROUP / 2u], bool telemetry)
+{
+	const uint32_t low = dshot_frames(values[0], telemetry, setup.telemetry),
+		       high = dshot_frames(values[1], telemetry, setup.telemetry);
+
+	return (struct frames){
+		.first = (low >> 8 & EVEN_BYTES) | (high & ~EVEN_BYTES),
+		.last = (low & EVEN_BYTES) | (high & EVEN_BYTES) << 8,
+	};
+}
+
+/* Pins of zeros for a bit of a byte of each of four frames. */
+static inline uint16_t motors_zeros(const uint16_t zeros[1u << GROUP], uint32_t bytes, uint32_t bit)
+{
+	return zeros[(bytes >> bit & EACH) * GATHER >> 24];
+}
+
+/* The words that differ from frame to frame. `half`: the first one's that ends the pulses of zeros. `more`: besides those
+ * that other motors of this port have there. */
+static void motors_fill(uint16_t *half, const uint16_t zeros[1u << GROUP], struct frames frames, bool more)
+{
+	const uint32_t byte = 8u * 2u * WORDS_A_BIT;
+
+	for (uint32_t bit = 8; bit-- > 0; half += 2u * WORDS_A_BIT) {
+		uint32_t first = motors_zeros(zeros, frames.first, bit), last = motors_zeros(zeros, frames.last, bit);
+
+		if (more) {
+			first |= half[0];
+			last |= half[byte];
 		}
-		words[1] = pins << end;
-		words += WORDS_A_BIT;
+		half[0] = (uint16_t)first;
+		half[byte] = (uint16_t)last;
 	}
 }
 
 bool motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
 {
-	struct pair pairs[GROUPS] = { { 0 } };
+	union {
+		uint16_t each[NF_MOTOR_COUNT_MAX];
+		uint32_t pairs[NF_MOTOR_COUNT_MAX / 2u];
+	} values;
+	struct frames frames[GROUPS];
 
 	if (setup.ports == 0u)
 		return false;
@@ -292,18 +341,24 @@ bool motors_write(void *context, const uint16_t dshot[], size_t count, bool tele
 		return false;
 	}
 	writes_dropped = 0;
-	for (uint32_t motor = 0; motor < setup.motors; ++motor) {
-		struct pair *const pair = &pairs[motor / GROUP];
-		const uint32_t frame = dshot_frame(motor < count ? dshot[motor] : NF_DSHOT_STOP, telemetry,
-						   setup.telemetry);
-
-		*(motor % 2u == 0u ? &pair->even : &pair->odd) |= frame << motor % GROUP / 2u * 16u;
+	for (uint32_t group = 0; GROUP * group < setup.motors; ++group) {
+		for (uint32_t motor = GROUP * group; motor < GROUP * (group + 1u); ++motor)
+			values.each[motor] = motor < count ? dshot[motor] : NF_DSHOT_STOP;
+		frames[group] = motors_frames(&values.pairs[GROUP / 2u * group], telemetry);
 	}
 	TIM_DIER(TIM1) = 0;
 	for (uint32_t i = 0; i < setup.ports; ++i) {
 		const struct motor_port *const self = &ports[i];
+		bool more = false;
 
-		motors_fill(self, motor_words[i], pairs);
+		for (uint32_t group = 0; GROUP * group < setup.motors; ++group) {
+			const uint16_t *const zeros = self->zeros[group];
+
+			if (zeros[0] == 0u)
+				continue; /* none of them is wired to this port */
+			motors_fill(&motor_words[i][1][motors_half(false)], zeros, frames[group], more);
+			more = true;
+		}
 		if (setup.telemetry)
 			GPIO_MODER(self->port) |= self->modes; /* outputs again: at rest, as the last word left them */
 		dma_clear(self->stream); /* the end of the samples is no frame's */

@@ -21,6 +21,18 @@ void *memcpy(void *restrict to, const void *restrict from, size_t count)
 	const uint8_t *in = from;
 
 	if (memory_both_aligned(out, in)) {
+		for (; count >= 4u * sizeof(word); count -= 4u * sizeof(word)) {
+			const word *const from_four = (const void *)in;
+			word *const four = (void *)out;
+			const word a = from_four[0], b = from_four[1], c = from_four[2], d = from_four[3];
+
+			four[0] = a;
+			four[1] = b;
+			four[2] = c;
+			four[3] = d;
+			in += 4u * sizeof(word);
+			out += 4u * sizeof(word);
+		}
 		for (; count >= sizeof(word); count -= sizeof(word), out += sizeof(word), in += sizeof(word))
 			*(word *)(void *)out = *(const word *)(const void *)in;
 	}

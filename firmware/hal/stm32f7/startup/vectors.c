@@ -8,7 +8,7 @@
 extern uint32_t stack_top[]; /* linker script */
 
 #define SYSTEM_HANDLERS 15
-enum { TICK = 14 }; /* exception 15 */
+enum { LATER = 13, TICK = 14 }; /* exceptions 14, PendSV, and 15 */
 
 struct vector_table {
 	uint32_t *stack;
@@ -22,7 +22,8 @@ __attribute__((section(".vectors"), used)) const struct vector_table vectors = {
 	.stack = stack_top,
 	.system = {
 		[0] = reset_handler,
-		[1 ... TICK - 1] = fault_handler,
+		[1 ... LATER - 1] = fault_handler,
+		[LATER] = motors_answers_handler,
 		[TICK] = tick_handler,
 	},
 	.interrupt = {
@@ -37,14 +38,16 @@ __attribute__((section(".vectors"), used)) const struct vector_table vectors = {
 		[IRQ_EXTI9_5] = gyro_edge_handler,
 		[IRQ_EXTI9_5 + 1 ... IRQ_EXTI15_10 - 1] = fault_handler,
 		[IRQ_EXTI15_10] = gyro_edge_handler,
-		[IRQ_EXTI15_10 + 1 ... IRQ_DMA2_STREAM0 - 1] = fault_handler,
+		[IRQ_EXTI15_10 + 1 ... IRQ_TIM5 - 1] = fault_handler,
+		[IRQ_TIM5] = gyro_edge_handler,
+		[IRQ_TIM5 + 1 ... IRQ_DMA2_STREAM0 - 1] = fault_handler,
 		[IRQ_DMA2_STREAM0] = gyro_sample_handler, /* SPI1 */
-		[IRQ_DMA2_STREAM1] = motors_sent_handler, /* TIM1, as 3, 4 and 6; one of them is enabled */
+		[IRQ_DMA2_STREAM1] = motors_moved_handler, /* TIM1, as 3, 4 and 6; one of them is enabled */
 		[IRQ_DMA2_STREAM2] = gyro_sample_handler, /* SPI1 */
-		[IRQ_DMA2_STREAM3] = motors_sent_handler,
-		[IRQ_DMA2_STREAM4] = motors_sent_handler,
+		[IRQ_DMA2_STREAM3] = motors_moved_handler,
+		[IRQ_DMA2_STREAM4] = motors_moved_handler,
 		[IRQ_DMA2_STREAM4 + 1 ... IRQ_DMA2_STREAM6 - 1] = fault_handler,
-		[IRQ_DMA2_STREAM6] = motors_sent_handler,
+		[IRQ_DMA2_STREAM6] = motors_moved_handler,
 		[IRQ_DMA2_STREAM6 + 1 ... IRQ_COUNT - 1] = fault_handler,
 	},
 };

@@ -11,7 +11,11 @@ enum {
 	PYTHON_SOURCE = 36, /* sources from here on are Python's */
 	GYRO_VALUES = 7,    /* accelerometer, temperature, gyro */
 	GYRO_BYTES = 14,
+	GYRO_WINDOW = 40,   /* registers that C tells: entries are places in the data, */
+	GYRO_STATUS = 0x200, /* this, */
+	GYRO_VALUE = 0x100,  /* or values beside this bit */
 	ESC_EDGES = 32,     /* of a frame: 16 pulses */
+	ESC_KINDS = 7,      /* of extended telemetry */
 	ANSWER_EDGES = 22,  /* of an answer at most: it begins, 20 bits, it ends */
 	NO_ANSWER = 0xFFFF, /* of an ESC: it stays silent */
 };
@@ -34,10 +38,7 @@ enum query {
 	QUERY_BUSY,     /* SPI: CR1 changed meanwhile */
 	QUERY_FULL,     /* SPI: DR written into a full FIFO */
 	QUERY_SELECTED, /* SPI; pins of two chips, port << 4 | number: both are selected */
-	QUERY_OUTPUT,   /* timer; channel: makes pulses */
-	QUERY_TARGET,   /* timer; request: feeds no register that it may */
-	QUERY_COMPARE,  /* timer; request: made at compare, and feeds no port */
-	QUERY_DMAR,     /* timer; write: DMAR by the program */
+	QUERY_OUTPUT,   /* timer; outputs: they are enabled, else a burst is written */
 	QUERY_DRIVEN,   /* port; pin, cycles since the motor's frame: driven by the program and by an ESC */
 };
 
@@ -66,6 +67,10 @@ struct esc {
 	/* Its answer to a bidirectional frame, as it is set: */
 	uint16_t answer;            /* word of 12 bits, or NO_ANSWER */
 	uint8_t stuck;              /* enum stuck */
+	/* Its extended telemetry: asked for so often in a row; on; other answers since the last, and the kind that follows; bit
+	 * field of the kinds that it has; their words. */
+	uint8_t asked, extended, others, kind, kinds;
+	uint16_t told[ESC_KINDS];
 	uint32_t delay, jitter;     /* from the frame's end; of each edge at most, to both sides [cycles] */
 	double bit_factor;          /* of its clock: 1.01 is 1 % slow */
 	double noise, silence;      /* share of samples that are wrong; of frames that are not answered */
@@ -85,7 +90,7 @@ struct gyro {
 	uint64_t due, period;   /* of samples [cycles]; due NEVER: there are none */
 	uint64_t samples;
 	uint64_t ready_at;      /* before this cycle the chip does not answer */
-	uint32_t address;       /* of the next byte, NO_ADDRESS: the next byte is one */
+	uint32_t address, first; /* of the next byte, NO_ADDRESS: the next byte is one; of the transaction's first */
 	uint32_t transaction;   /* of the bus, the last one that the chip took part in */
 	int16_t measured[GYRO_VALUES];
 	uint8_t data[GYRO_BYTES];
@@ -96,7 +101,11 @@ struct gyro {
 	uint8_t data_at;        /* the first register of the data */
 	uint8_t order[GYRO_VALUES]; /* places in `measured` of the values, in the order of the data */
 	uint8_t little;         /* a value's lower byte comes first */
-	uint8_t hidden;         /* other registers are at the data's addresses now */
+	uint8_t hidden;         /* other registers are at the data's addresses now, or it listens to another bus */
+	uint8_t window_at, window_count; /* the registers around the data, first and how many */
+	uint16_t window[GYRO_WINDOW];
+	uint8_t ready_bit;      /* of the status, which a read clears */
+	uint8_t dummies, dummies_left; /* bytes of a read before the first that tells something; of this read */
 };
 
 /* What the SD card answers while nothing but 0xFF is sent: C does not ask Python for it until `until`. */
@@ -202,6 +211,9 @@ uint32_t native_card_transaction(const struct native *n);
 /* Bytes to and from the card that have passed until now are handed over. */
 void native_card_sync(struct native *n);
 
+/* The next cycle at which an update of timer `t` asks for its interrupt; NEVER: none does. */
+uint64_t native_timer_rings(struct native *n, uint32_t t);
+
 /* Bytes received from the gyro chip have bit errors. */
 void native_bit_errors(struct native *n, bool any);
 
@@ -215,7 +227,6 @@ void native_hear_samples(struct native *n, bool on);
 /* The ESC of motor `motor` (from 0, in order) listens on a pin. */
 struct esc *native_esc(struct native *n, uint32_t motor, uint32_t port, uint32_t pin);
 /* Channel 1 to 4 of timer `t` may drive its pin. */
-void native_esc_timer(struct native *n, uint32_t motor, uint32_t t, uint32_t channel);
 /* It takes a frame that Python has decoded, and answers. */
 void native_esc_accept(struct native *n, uint32_t motor, uint64_t end, uint32_t data);
 /* What the ESCs of the first motors obey: their last values, 0 before any and after `silent` cycles without one. Returns

@@ -130,7 +130,6 @@ struct native *native_new(struct engine *e, const struct callbacks *python, cons
 		n->miso[i].port = NO_PORT;
 	n->ready.port = NO_PORT;
 	n->gyro_chip = n->log_chip = CHIPS;
-	memset(n->esc_at, MOTORS, sizeof n->esc_at);
 	n->gyro_alarm = n->gyro_fall_alarm = UINT32_MAX;
 	n->watchdog_window = UINT32_MAX;
 	n->s.epoch = 1;

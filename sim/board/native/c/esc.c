@@ -13,6 +13,9 @@ enum {
 enum { ZERO_MIN = 317, ZERO_MAX = 384, ONE_MIN = 633, ONE_MAX = 788, UNEVEN = 50 };
 
 enum { ANSWER_BITS = 21 };
+/* Extended telemetry begins when it is asked for so often in a row, with an answer that says so; then each so manieth answer is
+ * of it. */
+enum { COMMAND_ON = 13, COMMAND_OFF = 14, TIMES = 6, BEGINS = 0xE00, EVERY = 41 };
 
 /* ---- frames ---- */
 
@@ -74,16 +77,51 @@ static void esc_toggle(struct esc *esc, double cycle)
 	esc->answer_edges[esc->answer_edge_count++] = (uint64_t)((int64_t)(cycle + 0.5) + late);
 }
 
+/* A command counts while the motor stands, which no frame before it bids it to turn. */
+static void esc_obey(struct esc *esc, uint32_t value)
+{
+	const bool on = value == COMMAND_ON;
+
+	esc->asked = on || value == COMMAND_OFF ? (uint8_t)(esc->asked + 1u) : 0u;
+	if (esc->asked != TIMES)
+		return;
+	esc->asked = 0;
+	esc->extended = on;
+	esc->others = EVERY - 1u;
+	esc->kind = ESC_KINDS; /* that it begins */
+}
+
+/* The next answer. */
+static uint32_t esc_word(struct esc *esc)
+{
+	if (!esc->extended || ++esc->others < EVERY)
+		return esc->answer;
+	esc->others = 0;
+	if (esc->kind == ESC_KINDS) {
+		esc->kind = 0;
+		return BEGINS;
+	}
+	for (uint32_t i = 0; i < ESC_KINDS; ++i) {
+		const uint32_t kind = esc->kind;
+
+		esc->kind = (uint8_t)((kind + 1u) % ESC_KINDS);
+		if (esc->kinds >> kind & 1u)
+			return esc->told[kind];
+	}
+	return esc->answer;
+}
+
 /* The line falls; each one of the coded bits is a change; in the end it is let go. */
 static void esc_reply(struct esc *esc)
 {
 	const double bit = esc->bit_factor * TIME_HZ / (1250.0 * esc->protocol);
 	const double begin = (double)(esc->last_cycle + esc->delay);
-	const uint32_t coded = esc_coded(esc->answer);
 
 	esc->answer_edge_count = 0;
 	if (!esc->inverted || esc->answer == NO_ANSWER || esc_happens(esc, esc->silence))
 		return;
+	const uint32_t coded = esc_coded(esc_word(esc));
+
 	++esc->answers;
 	esc_toggle(esc, begin);
 	for (uint32_t i = 1; i < ANSWER_BITS; ++i)
@@ -164,6 +202,7 @@ static void esc_accept(struct native *n, struct esc *esc, uint64_t end, uint32_t
 	esc->rest_since = (int64_t)end;
 	esc->last = data;
 	++esc->frames;
+	esc_obey(esc, data >> 1);
 	if (n->frames_heard)
 		n->s.frames[n->s.frame_count++] = (struct frame){.cycle = end, .motor = esc->motor, .data = data};
 	esc_reply(esc);
@@ -240,11 +279,6 @@ struct esc *native_esc(struct native *n, uint32_t motor, uint32_t port, uint32_t
 	n->esc_of[port][pin] = (uint8_t)motor;
 	n->motor_count = motor + 1u;
 	return esc;
-}
-
-void native_esc_timer(struct native *n, uint32_t motor, uint32_t t, uint32_t channel)
-{
-	n->esc_at[t][channel - 1u] = (uint8_t)motor;
 }
 
 bool native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint16_t *values)

@@ -1,4 +1,4 @@
-/* The gyro chip's samples, and reads of its data in one transaction. Its other registers are Python's
+/* The gyro chip's samples, and reads of its data, and of what lies around them, in one transaction. Its other registers are Python's
  * (sim/board/devices/gyro_chip.py). */
 #include <string.h>
 
@@ -46,27 +46,47 @@ void gyro_fall(struct native *n)
 	native_drive(n, n->ready.port, n->ready.pin, false);
 }
 
+static uint8_t gyro_told(struct gyro *g, uint32_t place)
+{
+	const uint32_t entry = g->window[place];
+
+	if (entry != GYRO_STATUS)
+		return entry < GYRO_BYTES ? g->shadow[entry] : (uint8_t)entry;
+	const uint8_t status = g->interrupt ? g->ready_bit : 0;
+
+	g->interrupt = 0;
+	return status;
+}
+
 bool gyro_exchange(struct native *n, uint8_t *bytes, uint32_t count, double hz, uint32_t mode)
 {
 	struct gyro *const g = &n->s.gyro;
 	const uint32_t transaction = n->s.chips[n->gyro_chip].transaction;
 	const bool begins = g->transaction != transaction || g->address == NO_ADDRESS;
-	const uint32_t place = (begins ? bytes[0] & ~(uint32_t)READ : g->address) - g->data_at, rest = count - begins;
+	const uint32_t rest = count - begins, dummies = begins ? g->dummies : g->dummies_left;
+	const uint32_t silent = dummies < rest ? dummies : rest, told = rest - silent;
+	uint32_t place = (begins ? bytes[0] & ~(uint32_t)READ : g->address) - g->window_at;
 
-	if (g->hidden || (mode != 0u && mode != 3u) || hz > n->gyro_data_hz || place > GYRO_BYTES || rest > GYRO_BYTES - place)
+	if (g->hidden || (mode != 0u && mode != 3u) || hz > n->gyro_data_hz || place > g->window_count ||
+	    told > g->window_count - place)
 		return false;
-	if (begins && g->reads && g->address - g->data_at < GYRO_BYTES && (g->address - g->data_at) % 2u != 0u)
+	if (begins && g->reads && g->address != g->first && g->address - g->data_at < GYRO_BYTES &&
+	    (g->address - g->data_at) % 2u != 0u)
 		return false; /* the transaction before ended inside a value */
 	if (begins ? (bytes[0] & READ) == 0u || native_now(n) < g->ready_at : !g->reads)
 		return false;
 	if (begins) {
 		g->transaction = transaction;
 		g->reads = 1;
+		g->first = g->window_at + place;
 		memcpy(g->shadow, g->data, sizeof g->shadow);
 		*bytes++ = 0;
 	}
-	memcpy(bytes, g->shadow + place, rest);
-	g->address = g->data_at + place + rest;
+	memset(bytes, 0, silent);
+	for (uint32_t i = silent; i < rest; ++i)
+		bytes[i] = gyro_told(g, place++);
+	g->dummies_left = (uint8_t)(dummies - silent);
+	g->address = g->window_at + place;
 	return true;
 }
 

@@ -30,7 +30,6 @@ enum {
 	SHARED = 3,           /* requests that may share a place */
 	SETUPS = 2,           /* of a stream: frames to the motors and answers from them take turns */
 	FIFO_BYTES = 4,
-	STEADY_PERIODS = 20,
 	PERIODS = 512,        /* handled at once */
 	FRAMES = 256,         /* kept until Python is told */
 };
@@ -51,11 +50,9 @@ struct stream {
 struct timer {
 	uint64_t anchor;
 	uint32_t ccr[CHANNELS], arr, psc;
-	uint32_t stopped_at, pending, steady;
-	uint32_t valid[CHANNELS]; /* epoch in which the output was found right */
-	uint32_t ccmr[CHANNELS];  /* of its register then */
-	uint64_t served;          /* cycle until which requests have been made that feed ports or come at compare */
-	uint32_t feeds_ports;     /* a stream between a port and memory waits for one of its requests, or has */
+	uint32_t stopped_at, pending;
+	uint64_t served;      /* cycle until which requests have been made */
+	uint32_t feeds_ports; /* a stream between a port and memory waits for one of its requests, or has */
 };
 
 struct spi {
@@ -136,7 +133,6 @@ struct native {
 	struct pin miso[SPIS], ready;             /* port NO_PORT: not wired */
 	uint16_t motor_pins[PORTS];               /* with an ESC */
 	uint8_t esc_of[PORTS][PINS];              /* there */
-	uint8_t esc_at[TIMERS][CHANNELS];         /* MOTORS: none */
 	uint32_t motor_count;
 	uint32_t watchdog_window, watchdog_offset, watchdog_alarm;
 	uint32_t gyro_alarm, gyro_fall_alarm;

@@ -1,4 +1,5 @@
-/* TIM1 to TIM5 and TIM8 (RM0431 TIM): counters with preload, compare outputs and DMA requests at updates and compares.
+/* TIM1 to TIM5 and TIM8 (RM0431 TIM): counters with preload, and DMA requests at updates and compares, which move items between
+ * ports and memory. They drive no pins, and no request writes their own registers.
  *
  * A free-running timer costs nothing: its updates are counted when a register is read. While its requests move something,
  * an alarm marks the end of the transfer; what the pins did meanwhile is shown then, or before somebody looks. */
@@ -7,9 +8,9 @@
 #include "peripherals.h"
 
 enum { T_CR1 = 0, T_CR2 = 1, T_DIER = 3, T_SR = 4, T_EGR = 5, T_CCMR1 = 6, T_CCMR2 = 7, T_CCER = 8, T_CNT = 9,
-       T_PSC = 10, T_ARR = 11, T_CCR1 = 13, T_CCR4 = 16, T_BDTR = 17, T_DCR = 18, T_DMAR = 19 };
+       T_PSC = 10, T_ARR = 11, T_CCR1 = 13, T_CCR4 = 16, T_DMAR = 19 };
 enum { CEN = 1u << 0, UDIS = 1u << 1, URS = 1u << 2, OPM = 1u << 3, ARPE = 1u << 7 };
-enum { CCDS = 1u << 3, MOE = 1u << 15, UIF = 1u << 0 };
+enum { CCDS = 1u << 3, UIF = 1u << 0 };
 enum { PORT_BYTES = 0x400 };
 
 static uint32_t *timer_words(struct native *n, uint32_t t)
@@ -62,44 +63,9 @@ static uint32_t timer_port(struct native *n, uint32_t t, uint32_t k)
 	return distance < PORTS ? distance : PORTS;
 }
 
-/* Does it feed registers of the timer, at updates? */
-static bool timer_feeds_itself(struct native *n, uint32_t t, uint32_t k)
-{
-	return timer_asks(n, t, k) && timer_at_update(n, t, k) && timer_port(n, t, k) == PORTS;
-}
-
-/* The words that one request writes, a register or a burst of them through DMAR: first and how many; 0 when it may not. */
-static uint32_t timer_targets(struct native *n, uint32_t t, uint32_t k, uint32_t *first)
-{
-	const uint32_t device = n->devices[TIMER][t];
-	const uint32_t *const w = device_words(n, device);
-	const uint32_t word = (native_target(n, timer_source(t, k)) - n->bases[device]) >> 2;
-	uint32_t count = 1;
-
-	*first = word;
-	if (word == T_DMAR) {
-		*first = w[T_DCR] & 31u;
-		count = (w[T_DCR] >> 8 & 31u) + 1u;
-	}
-	for (uint32_t i = *first; i < *first + count; ++i) {
-		if (i != T_PSC && i != T_ARR && (i < T_CCR1 || i > T_CCR4)) {
-			native_query(n, QUERY_TARGET, n->devices[TIMER][t], k, 0);
-			return 0;
-		}
-	}
-	return count;
-}
-
 static bool timer_preloads(const struct native *n, uint32_t t, uint32_t channel)
 {
 	return n->s.words[n->devices[TIMER][t]][T_CCMR1 + channel / 2u] >> (3u + 8u * (channel % 2u)) & 1u;
-}
-
-static void timer_store(struct native *n, uint32_t t, uint32_t word, uint32_t value)
-{
-	device_keep(n, n->devices[TIMER][t], word, value);
-	if (word >= T_CCR1 && word <= T_CCR4 && !timer_preloads(n, t, word - T_CCR1))
-		n->s.timers[t].ccr[word - T_CCR1] = value;
 }
 
 /* What was preloaded takes effect. */
@@ -120,143 +86,18 @@ static void timer_update_irq(struct native *n, uint32_t t)
 	engine_irq(n->e, n->irqs[device][0], (timer_words(n, t)[T_SR] & timer_words(n, t)[T_DIER] & UIF) != 0u);
 }
 
-/* Periods of a channel that have passed, the first `offset` periods after the anchor. */
-static void timer_pulses(struct native *n, uint32_t t, uint32_t channel, uint32_t offset, uint32_t count,
-			 const uint32_t *compares)
-{
-	const uint32_t *const w = timer_words(n, t);
-	struct timer *const s = &n->s.timers[t];
-	const bool off = n->advanced[t] && (w[T_BDTR] & MOE) == 0u;
-	const uint64_t length = timer_period(n, t);
-	uint32_t highs[PERIODS];
-	bool any = false;
-
-	if (count == 0u || (w[T_CCER] >> 4u * channel & 1u) == 0u)
-		return;
-	for (uint32_t i = 0; i < count; ++i) {
-		highs[i] = (uint32_t)timer_cycles(n, t, compares[i]);
-		any = any || compares[i] != 0u;
-	}
-	if (any && (off || s->valid[channel] != n->s.epoch || s->ccmr[channel] != w[T_CCMR1 + channel / 2u])) {
-		native_query(n, QUERY_OUTPUT, n->devices[TIMER][t], channel + 1u, 0);
-		if (n->failed)
-			return;
-		s->valid[channel] = n->s.epoch;
-		s->ccmr[channel] = w[T_CCMR1 + channel / 2u];
-	}
-	for (uint32_t i = 0; i < count; ++i) {
-		const uint64_t start = s->anchor + (offset + i) * length;
-
-		if (n->esc_at[t][channel] == MOTORS || highs[i] == 0u)
-			continue;
-		esc_edge(n, &n->s.escs[n->esc_at[t][channel]], start, true);
-		if (highs[i] < length)
-			esc_edge(n, &n->s.escs[n->esc_at[t][channel]], start + highs[i], false);
-	}
-}
-
-/* One request's items go to their registers. */
-static void timer_feed(struct native *n, uint32_t t, uint32_t k)
-{
-	uint32_t first, items[32];
-	const uint32_t count = timer_targets(n, t, k, &first);
-	const uint32_t available = native_available(n, timer_source(t, k));
-	const uint32_t taken = native_take(n, timer_source(t, k), items, count < available ? count : available);
-
-	for (uint32_t i = 0; i < taken; ++i)
-		timer_store(n, t, first + i, items[i]);
-	n->s.timers[t].steady = 0;
-}
-
-/* `updates` updates, at each of which a period ends and DMA writes the compare values of the next. */
-static uint32_t timer_run_fed(struct native *n, uint32_t t, uint32_t k, uint64_t updates)
-{
-	uint32_t compares[CHANNELS][PERIODS];
-	uint32_t first, done = 0;
-	const uint32_t step = timer_targets(n, t, k, &first);
-
-	if (step == 0u)
-		return 1;
-	while (done < updates && done < PERIODS && native_available(n, timer_source(t, k)) != 0u && !n->failed) {
-		for (uint32_t c = 0; c < CHANNELS; ++c)
-			compares[c][done] = n->s.timers[t].ccr[c];
-		timer_load(n, t);
-		timer_feed(n, t, k);
-		++done;
-		if (n->s.timers[t].arr != timer_words(n, t)[T_ARR])
-			break;
-	}
-	for (uint32_t c = 0; c < CHANNELS; ++c)
-		timer_pulses(n, t, c, 0, done, compares[c]);
-	return done;
-}
-
-/* Nothing changes from update to update; an endless pulse train is shown for a while. */
-static uint64_t timer_free_run(struct native *n, uint32_t t, uint64_t updates)
-{
-	struct timer *const s = &n->s.timers[t];
-	uint32_t compares[STEADY_PERIODS];
-
-	if (s->steady)
-		return updates;
-	if ((s->ccr[0] | s->ccr[1] | s->ccr[2] | s->ccr[3]) == 0u)
-		return updates;
-	const uint32_t shown = updates - 1u < STEADY_PERIODS ? (uint32_t)(updates - 1u) : STEADY_PERIODS;
-
-	for (uint32_t c = 0; c < CHANNELS; ++c) {
-		for (uint32_t i = 0; i < shown; ++i)
-			compares[i] = s->ccr[c];
-		timer_pulses(n, t, c, 1, shown, compares);
-	}
-	s->steady = shown == STEADY_PERIODS;
-	return 1u + shown;
-}
-
 /* Goes through `updates` updates or fewer; returns how many. */
 static uint64_t timer_run(struct native *n, uint32_t t, uint64_t updates)
 {
-	uint32_t *const w = timer_words(n, t);
-	struct timer *const s = &n->s.timers[t];
-	uint32_t asking = 0, fed = 0, fed_count = 0, last = 0;
-	uint64_t count = 1;
+	const uint64_t length = timer_period(n, t);
 
-	for (uint32_t k = 0; k <= CHANNELS; ++k) {
-		if (!timer_feeds_itself(n, t, k))
-			continue;
-		asking |= 1u << k;
-		if (native_available(n, timer_source(t, k)) != 0u) {
-			fed |= 1u << k;
-			last = k;
-			++fed_count;
-		}
-	}
-	w[T_SR] |= UIF;
-	if (fed_count == 1u && w[T_ARR] == s->arr && w[T_PSC] == s->psc) {
-		count = timer_run_fed(n, t, last, updates);
-	} else {
-		for (uint32_t c = 0; c < CHANNELS; ++c)
-			timer_pulses(n, t, c, 0, 1, &s->ccr[c]);
-		const uint64_t length = timer_period(n, t);
-
-		timer_load(n, t);
-		if (fed == 0u && timer_period(n, t) == length)
-			count = timer_free_run(n, t, updates);
-		for (uint32_t k = 0; k <= CHANNELS; ++k)
-			if (fed >> k & 1u)
-				timer_feed(n, t, k);
-	}
-	s->pending |= asking & ~fed;
+	timer_words(n, t)[T_SR] |= UIF;
+	timer_load(n, t);
 	timer_update_irq(n, t);
-	return count;
+	return timer_period(n, t) == length ? updates : 1u;
 }
 
-/* ---- requests that move items to and from ports, and those at compare ---- */
-
-/* Are they request `k`'s? */
-static bool timer_paces(struct native *n, uint32_t t, uint32_t k)
-{
-	return timer_asks(n, t, k) && (!timer_at_update(n, t, k) || timer_port(n, t, k) != PORTS);
-}
+/* ---- requests ---- */
 
 /* The cycle at which request `k` is made first after `since`; NEVER: it is not. */
 static uint64_t timer_next(struct native *n, uint32_t t, uint32_t k, uint64_t since)
@@ -293,10 +134,6 @@ static uint32_t timer_move(struct native *n, uint32_t t, uint32_t k, uint64_t st
 		n->s.timers[t].pending |= 1u << k;
 		return part;
 	}
-	if (port == PORTS) {
-		native_query(n, QUERY_COMPARE, n->devices[TIMER][t], k, 0);
-		return 0;
-	}
 	part = part < available ? part : available;
 	if (native_to_memory(n, source)) {
 		pins_sample(n, port, word, shift, items, part, start, timer_period(n, t));
@@ -321,7 +158,7 @@ static void timer_pace(struct native *n, uint32_t t, uint64_t now)
 		uint32_t first = 0;
 
 		for (uint32_t k = 0; k <= CHANNELS; ++k) {
-			due[k] = timer_paces(n, t, k) ? timer_next(n, t, k, served[k]) : NEVER;
+			due[k] = timer_asks(n, t, k) ? timer_next(n, t, k, served[k]) : NEVER;
 			if (due[k] < due[first])
 				first = k;
 		}
@@ -383,20 +220,12 @@ static void timer_sync_to(struct native *n, uint32_t t, uint64_t now)
 	}
 }
 
-static bool timer_paces_any(struct native *n, uint32_t t)
-{
-	for (uint32_t k = 0; k <= CHANNELS; ++k)
-		if (timer_paces(n, t, k))
-			return true;
-	return false;
-}
-
 void timer_sync(struct native *n, uint32_t t)
 {
 	const struct timer *const s = &n->s.timers[t];
 	const uint64_t now = native_now(n);
 
-	while (!n->failed && timer_changes(n, t) && timer_paces_any(n, t) && now > s->anchor + timer_period(n, t))
+	while (!n->failed && timer_changes(n, t) && timer_words(n, t)[T_DIER] >> 8 != 0u && now > s->anchor + timer_period(n, t))
 		timer_sync_to(n, t, s->anchor + timer_period(n, t));
 	timer_sync_to(n, t, now);
 }
@@ -405,24 +234,11 @@ void timer_plan(struct native *n, uint32_t t)
 {
 	const uint32_t device = n->devices[TIMER][t];
 	const uint32_t *const w = device_words(n, device);
-	uint64_t waits = NEVER;
-
-	if ((w[T_CR1] & (CEN | UDIS)) == CEN) {
-		if (w[T_DIER] & 1u)
-			waits = 1;
-		for (uint32_t k = 0; k <= CHANNELS && !n->failed; ++k) {
-			uint32_t first;
-			const uint32_t available = timer_feeds_itself(n, t, k) ? native_available(n, timer_source(t, k)) : 0u;
-			const uint32_t step = available != 0u ? timer_targets(n, t, k, &first) : 0u;
-
-			if (step != 0u && (available + step - 1u) / step < waits)
-				waits = (available + step - 1u) / step;
-		}
-	}
-	uint64_t due = waits == NEVER ? NEVER : n->s.timers[t].anchor + waits * timer_period(n, t);
+	const bool rings = (w[T_CR1] & (CEN | UDIS)) == CEN && (w[T_DIER] & UIF) != 0u;
+	uint64_t due = rings ? n->s.timers[t].anchor + timer_period(n, t) : NEVER;
 
 	for (uint32_t k = 0; k <= CHANNELS; ++k) {
-		const uint32_t available = timer_paces(n, t, k) ? native_available(n, timer_source(t, k)) : 0u;
+		const uint32_t available = timer_asks(n, t, k) ? native_available(n, timer_source(t, k)) : 0u;
 		const uint64_t next = available != 0u ? timer_next(n, t, k, n->s.timers[t].served) : NEVER;
 
 		if (next != NEVER && next + (available - 1u) * timer_period(n, t) < due)
@@ -431,6 +247,16 @@ void timer_plan(struct native *n, uint32_t t)
 			due = n->s.timers[t].anchor + timer_period(n, t);
 	}
 	engine_set_alarm(n->e, n->alarms[device], due);
+}
+
+uint64_t native_timer_rings(struct native *n, uint32_t t)
+{
+	const uint32_t *const w = timer_words(n, t);
+
+	timer_sync(n, t);
+	if ((w[T_CR1] & (CEN | UDIS)) != CEN || (w[T_DIER] & UIF) == 0u)
+		return NEVER;
+	return n->s.timers[t].anchor + timer_period(n, t);
 }
 
 static void timer_driver_sync(struct native *n, uint32_t source)
@@ -449,10 +275,7 @@ static void timer_driver_changed(struct native *n, uint32_t source)
 		s->feeds_ports |= timer_port(n, t, k) != PORTS;
 		if ((s->pending >> k & 1u) != 0u && native_available(n, timer_source(t, k)) != 0u) {
 			s->pending &= ~(1u << k);
-			if (timer_feeds_itself(n, t, k))
-				timer_feed(n, t, k);
-			else
-				(void)timer_move(n, t, k, native_now(n), 1);
+			(void)timer_move(n, t, k, native_now(n), 1);
 		}
 	}
 	timer_plan(n, t);
@@ -491,10 +314,6 @@ uint32_t timer_read(struct native *n, uint32_t device, uint32_t word)
 	const uint32_t t = n->numbers[device];
 	uint32_t *const w = device_words(n, device);
 
-	if (word == T_DMAR) {
-		native_query(n, QUERY_DMAR, n->devices[TIMER][t], 0, 0);
-		return 0;
-	}
 	if (word != T_CNT && word != T_SR && word != T_CR1 && (word < T_CCR1 || word > T_CCR4))
 		return w[word];
 	timer_sync(n, t);
@@ -518,16 +337,9 @@ static void timer_generate(struct native *n, uint32_t t, uint32_t value)
 		timer_load(n, t);
 		if ((w[T_CR1] & URS) == 0u) {
 			w[T_SR] |= UIF;
-			for (uint32_t k = 0; k <= CHANNELS; ++k) {
-				if (!timer_asks(n, t, k) || !timer_at_update(n, t, k))
-					continue;
-				if (native_available(n, timer_source(t, k)) == 0u)
-					s->pending |= 1u << k;
-				else if (timer_port(n, t, k) != PORTS)
+			for (uint32_t k = 0; k <= CHANNELS; ++k)
+				if (timer_asks(n, t, k) && timer_at_update(n, t, k))
 					(void)timer_move(n, t, k, native_now(n), 1);
-				else
-					timer_feed(n, t, k);
-			}
 			timer_update_irq(n, t);
 		}
 	}
@@ -549,8 +361,10 @@ void timer_write(struct native *n, uint32_t device, uint32_t word, uint32_t valu
 	}
 	timer_sync(n, t);
 	switch (word) {
+	case T_CCER:
 	case T_DMAR:
-		native_query(n, QUERY_DMAR, n->devices[TIMER][t], 1, 0);
+		if (value != 0u)
+			native_query(n, QUERY_OUTPUT, n->devices[TIMER][t], word == T_CCER, value);
 		return;
 	case T_EGR:
 		timer_generate(n, t, value);
@@ -563,12 +377,10 @@ void timer_write(struct native *n, uint32_t device, uint32_t word, uint32_t valu
 		count = timer_count(n, t);
 		changed = device_keep(n, device, word, value);
 		if (changed & CEN) {
-			if (w[T_CR1] & CEN) {
+			if (w[T_CR1] & CEN)
 				s->anchor = native_now(n) - timer_cycles(n, t, count);
-				s->steady = 0;
-			} else {
+			else
 				s->stopped_at = count;
-			}
 		}
 		break;
 	default:
@@ -577,8 +389,6 @@ void timer_write(struct native *n, uint32_t device, uint32_t word, uint32_t valu
 			s->arr = w[T_ARR];
 		if (word >= T_CCR1 && word <= T_CCR4 && !timer_preloads(n, t, word - T_CCR1))
 			s->ccr[word - T_CCR1] = w[word];
-		if (word == T_CCER || word == T_BDTR || (word >= T_CCR1 && word <= T_CCR4))
-			s->steady = 0;
 		if (word == T_DIER) {
 			for (uint32_t k = 0; k <= CHANNELS; ++k)
 				if (!timer_asks(n, t, k))

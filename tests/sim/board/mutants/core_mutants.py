@@ -27,7 +27,7 @@ CORE_MUTANTS = (
         new="\t\tdma_clear(self->stream);\n"
         "\t\tDMA_SM0AR(self->stream.at, 0) = (uint32_t)motor_words[i];\n"
         "\t\tDMA_SNDTR(self->stream.at, 0) = setup.words;\n\t\tbarrier();\n"
-        "\t\t*(volatile uint32_t *)motor_words[i] = motors_edge(self->pins, true);\n"
+        "\t\t*(volatile uint32_t *)motor_words[i] = self->pins;\n"
         "\t\tDMA_SCR(self->stream.at, 0) |= DMA_SCR_EN;\n",
         message=r"DMA2 stream 6 is enabled without a barrier after the program's last store",
         place="motors_write",
@@ -117,8 +117,8 @@ CORE_MUTANTS = (
     Mutant(
         name="handler that never clears its request",
         file=GYRO,
-        old="\tEXTI_PR = gyro.line;\n\tbarrier(); /* cleared before the handler can return, or it would "
-        "run twice */\n",
+        old="\tREGISTER(gyro.flags) = gyro.clear;\n\tbarrier(); /* cleared before the handler can return, "
+        "or it would run twice */\n",
         new="",
         message=r"the handler of exception 25 has run 1000 times in a row and leaves its request up",
         place="gyro_edge_handler",
@@ -233,7 +233,7 @@ CORE_MUTANTS = (
     Mutant(
         name="division by zero",
         file=GYRO,
-        old="gyro.divider = NF_GYRO_EDGE_RATE_HZ / rate_hz;",
+        old="gyro.divider = gyro.timed ? 1u : NF_GYRO_EDGE_RATE_HZ / rate_hz;",
         new="gyro.divider = NF_GYRO_EDGE_RATE_HZ / (rate_hz / 8001u);",
         message=r"division by zero",
         place="gyro_run|hal_run",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from neuroflight.sim.board.core.context import TIME_HZ, BoardError
-from neuroflight.sim.board.devices import gyro_icm, gyro_lsm, gyro_mpu
+from neuroflight.sim.board.devices import gyro_bmi, gyro_icm, gyro_lsm, gyro_mpu
 from neuroflight.sim.board.devices.gyro_bmi import BMI270
 from neuroflight.sim.board.devices.gyro_chip import GyroKind
 from neuroflight.sim.board.devices.gyro_icm import ICM42605, ICM42688P
@@ -213,9 +213,74 @@ def test_an_lsm6dsv16x_is_refused_when_half_a_value_is_read(make_bench: type[Ben
         read(bench, 0x0F)
 
 
-def test_a_bmi270_tells_what_it_is_and_nothing_else(make_bench: type[Bench]) -> None:
+WHOLE = gyro_bmi.BEGIN + bytes(gyro_bmi.SHORT - 4)
+
+
+def awake(make_bench: type[Bench]) -> Bench:
+    """A BMI270 that listens to SPI, out of its power save."""
+    bench = powered(make_bench, BMI270, (gyro_bmi.CHIP_ID, 0), (gyro_bmi.PWR_CONF, 0))
+    bench.context.run(451)
+    return bench
+
+
+def load(bench: Bench, configuration: bytes) -> int:
+    """Let it run a configuration; return INTERNAL_STATUS."""
+    write(bench, (gyro_bmi.INIT_CTRL, 0))
+    exchange(bench, gyro_bmi.INIT_DATA, *configuration)
+    write(bench, (gyro_bmi.INIT_CTRL, 1))
+    bench.context.run(20_001)
+    return read(bench, gyro_bmi.INTERNAL_STATUS, 2)[1]
+
+
+BMI_READY = ((gyro_bmi.ACC_RANGE, 3), (gyro_bmi.GYR_CONF, 0xCD), (gyro_bmi.PWR_CTRL, 0x0E))
+
+
+def test_a_bmi270_hears_no_first_transaction_and_tells_a_dummy_byte_first(make_bench: type[Bench]) -> None:
     bench = powered(make_bench, BMI270)
-    assert read(bench, 0x00, 2) == b"\x00\x24"  # a dummy byte first
-    assert read(bench, 0x0C, 13) == bytes(13)  # the dummy and 12
-    with pytest.raises(BoardError, match="register 0x7D of the BMI270 = 0x0E: the model knows none of it"):
-        write(bench, (0x7D, 0x0E))
+    assert read(bench, gyro_bmi.CHIP_ID, 2) == b"\0\0"  # it still listens to I2C
+    assert read(bench, gyro_bmi.CHIP_ID, 2) == b"\0\x24"
+
+
+def test_a_bmi270_measures_at_3200_hz_when_its_configuration_is_in_it(make_bench: type[Bench]) -> None:
+    bench = awake(make_bench)
+    assert load(bench, WHOLE) == 1
+    write(bench, *BMI_READY)
+    bench.hardware.gyro.measure(*MEASURED)
+    assert rate_hz(bench) == 3200
+    told = read(bench, gyro_bmi.STATUS, 34)[1:]  # behind the dummy byte
+    accel, temperature, gyro = MEASURED
+    assert told[0] == 0x40 and struct.unpack_from("<6h", told, 9) == (*accel, *gyro)
+    assert struct.unpack_from("<h", told, 31) == (temperature,)
+    due = bench.hardware.gyro.next_sample
+    assert due is not None
+    bench.context.run_to(due + 1)
+    assert [read(bench, gyro_bmi.STATUS, 2)[1] for _ in range(2)] == [0x40, 0]  # nothing new since
+
+
+@pytest.mark.parametrize("configuration", [b"", WHOLE[:-2], WHOLE + b"\0\0", b"\1" + WHOLE[1:]])
+def test_a_bmi270_says_so_and_measures_nothing_when_its_configuration_is_another(
+    make_bench: type[Bench], configuration: bytes
+) -> None:
+    bench = awake(make_bench)
+    assert load(bench, configuration) == 2
+    write(bench, *BMI_READY)
+    assert bench.hardware.gyro.next_sample is None
+
+
+def test_a_bmi270_measures_nothing_when_the_load_is_not_begun(make_bench: type[Bench]) -> None:
+    bench = awake(make_bench)
+    exchange(bench, gyro_bmi.INIT_DATA, *WHOLE)
+    assert load(bench, b"") == 2
+
+
+def test_a_bmi270_is_refused_when_it_is_hurried(make_bench: type[Bench]) -> None:
+    bench = powered(make_bench, BMI270, (gyro_bmi.CHIP_ID, 0))
+    with pytest.raises(BoardError, match="register 0x59 of the BMI270 is written in its power save"):
+        write(bench, (gyro_bmi.INIT_CTRL, 0))
+    bench = powered(make_bench, BMI270, (gyro_bmi.CHIP_ID, 0), (gyro_bmi.PWR_CONF, 0))
+    with pytest.raises(BoardError, match=r"register 0x59 of the BMI270 is written \d+ us too early"):
+        write(bench, (gyro_bmi.INIT_CTRL, 0))
+    bench = awake(make_bench)
+    write(bench, (gyro_bmi.INIT_CTRL, 1))
+    with pytest.raises(BoardError, match=r"is addressed \d+\.\d ms before it answers after its load"):
+        read(bench, gyro_bmi.INTERNAL_STATUS, 2)

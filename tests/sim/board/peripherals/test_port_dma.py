@@ -9,7 +9,7 @@ import pytest
 
 from neuroflight.sim.board.core.context import BoardError
 from neuroflight.sim.board.devices.esc import AnswerFaults, Frame
-from tests.sim.board.peripherals.test_timer_dshot import frame_bits
+from tests.sim.board.peripherals.test_timer import frame_bits
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from neuroflight.sim.aircraft.model import Aircraft, load_aircraft
 from neuroflight.sim.control.estimator import model_constants
 from neuroflight.sim.physics.variation import Variation
 from neuroflight.toolchain.contract import Mix, needs_model, observation_blocks
+from neuroflight.toolchain.policy.gyro_filters import MEAN, GyroFilters
 from neuroflight.training.config.training_config import OBSERVATION_SCALES, OutputMap
 from neuroflight.training.learners.network.shape import Shape
 from neuroflight.training.learners.pathwise.batch import Batch, disturbances
@@ -29,6 +31,15 @@ EVERY_BLOCK = (
 MEASURED = EVERY_BLOCK.replace("rotor_estimate", "rotor_measured")
 
 
+class InWords(Surroundings):
+    """As it is, but ESCs tell rotor speeds in steps: a small change of a flight changes none of them."""
+
+    def plan(self, weights: Weights, battery: bool, number: str) -> Any:
+        made = super().plan(weights, battery, number)
+        made.controller.words = True
+        return made
+
+
 @dataclass(frozen=True)
 class Case:
     """A batch of flights whose weights, commands and aircraft are drawn, the same at every call."""
@@ -41,12 +52,14 @@ class Case:
     recurrent: str = "none"
     mix: Mix = Mix.CENTRED
     samples: int = 4
+    filters: GyroFilters = MEAN
     of_motors: bool = True
     soft: float = 0.0
     idle: float = 0.1
     steps: int = 100
     count: int = 5
     charge: float = np.nan
+    vibration: tuple[float, ...] = ()  # [rad/s], drawn for each of the aircraft
     disturbance: float = 0.0
     varied: bool = True
     noise: bool = True
@@ -61,11 +74,13 @@ class Case:
         aircraft = self.aircraft or load_aircraft(self.name)
         terms, motors = observation_blocks(self.observation), aircraft.motor_count
         inputs = sum(term.count(motors) for term in terms)
-        return Surroundings(
+        kind = Surroundings if self.filters.rpm is None else InWords
+        return kind(
             aircraft=aircraft,
             steps=self.steps,
             control_rate_hz=RATE_HZ,
             samples=self.samples,
+            filters=self.filters,
             terms=terms,
             scales=tuple(OBSERVATION_SCALES[term.name] for term in terms),
             mix=self.mix,
@@ -81,6 +96,7 @@ class Case:
             soft=self.soft,
             noise=self.noise,
             rounded=self.rounded,
+            shaken=bool(self.vibration),
         )
 
     def batch(self) -> Batch:
@@ -102,6 +118,8 @@ class Case:
         count = self.count
         nominal = Variation.nominal(count, self.surroundings.aircraft.propulsion.delay)
         nominal = replace(nominal, charge=np.full(count, self.charge))
+        if self.vibration:
+            nominal = replace(nominal, vibration=np.array(self.vibration))
         if not self.varied:
             return nominal
         names = ("inertia", "thrust", "torque", "speed", "lag")

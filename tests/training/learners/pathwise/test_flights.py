@@ -10,12 +10,14 @@ import pytest
 from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.model import load_aircraft
+from neuroflight.sim.control.gyro_filter import GyroFilter
 from neuroflight.sim.control.motors import raised, throttle_mix
 from neuroflight.sim.control.observation import Observer
 from neuroflight.sim.physics.esc import rotor_words, words_speed
 from neuroflight.sim.physics.imu import quantised_rate
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.policy.gyro_filters import GyroFilters, RpmFilter
 from neuroflight.training.learners.pathwise.flights import Flights, Record
 from tests.sampling import sampled
 from tests.training.learners.pathwise.cases import MEASURED, RATE_HZ, WEIGHTS, Case
@@ -101,19 +103,19 @@ def test_flight_is_the_twins_when_outputs_do_not_depend_on_it(name: str, charge:
 )
 def test_flight_is_the_twins_when_a_policy_flies(which: tuple[str, Mix]) -> None:
     name, mix = which
-    case = Case(name, mix=mix, steps=700, noise=False, strength=0.05)
+    case = Case(name, mix=mix, steps=350, noise=False, strength=0.05)
     assert_close(case, recorded(case), flown_by_twin(case))
 
 
 @pytest.mark.parametrize(
     "case",
     [
-        Case(noise=False, samples=1, strength=0.05, steps=400),
-        Case(noise=False, recurrent="gru", strength=0.05, steps=400),
-        Case(noise=False, recurrent="lstm", strength=0.05, steps=400),
-        Case(noise=False, activation="relu", squash=True, strength=0.05, steps=400),
+        Case(noise=False, samples=1, strength=0.05, steps=250),
+        Case(noise=False, recurrent="gru", strength=0.05, steps=250),
+        Case(noise=False, recurrent="lstm", strength=0.05, steps=250),
+        Case(noise=False, activation="relu", squash=True, strength=0.05, steps=250),
         Case(observation="rate~15Hz,rate_error~40Hz@3,previous_motors@2,rotor_estimate~90Hz@1", noise=False),
-        Case(observation=MEASURED, noise=False, strength=0.05, steps=400),
+        Case(observation=MEASURED, noise=False, strength=0.05, steps=250),
     ],
     ids=["a sample a control step", "gru", "lstm", "relu and squash", "low-passes and ages", "measured"],
 )
@@ -161,6 +163,7 @@ def test_gyro_lags_turns_and_vibrates_as_the_twins() -> None:
         bandwidth_hz=80.0,
         misalignment=(0.02, -0.03, 0.05),
         vibration=(0.3, 0.2, 0.1),
+        harmonics=(0.5, 0.7),
     )
     case = Case(
         aircraft=replace(aircraft, gyro=gyro), observation="rate", samples=1, steps=400, count=3, varied=False
@@ -171,16 +174,68 @@ def test_gyro_lags_turns_and_vibrates_as_the_twins() -> None:
 
 def sensed_by_twin(case: Case, record: Record) -> NDArray[np.float64]:
     """What the twin's gyro reads while its rotors do what they did in `record`, phases included."""
-    own = case.surroundings
-    twin = Twin(own.aircraft, case.count, rate_hz=RATE_HZ, rng=np.random.default_rng(0))
+    own, samples = case.surroundings, case.samples
+    twin = Twin(
+        own.aircraft,
+        case.count,
+        rate_hz=samples * RATE_HZ,
+        variation=case.batch().variation,
+        rng=np.random.default_rng(0),
+    )
+    filter_ = GyroFilter(own.filters, case.count, 4, RATE_HZ, samples)
     phases = np.random.Generator(np.random.SFC64([case.batch().seed, 0])).uniform(-0.5, 0.5, (4, 16))
     twin._phase[:] = 2.0 * np.pi * phases[:, : case.count].T  # type: ignore[index]
-    read = [record.rate[0].T]
+    filter_.add(record.rate[0].T.astype(np.float32))
+    read = [filter_.read()]
     for k in range(case.steps - 1):
-        twin.step(record.motors[k].T)
-        read.append(twin.gyro)
+        for left in reversed(range(samples)):
+            twin.step(record.motors[k].T)
+            if left == 0:
+                filter_.told(twin.told_speed)
+            filter_.add(twin.gyro.astype(np.float32))
+        read.append(filter_.read())
     twin.close()
     return np.moveaxis(np.array(read), 1, 2)
+
+
+@pytest.mark.parametrize(
+    "filters", [GyroFilters(RpmFilter(), mean=True), GyroFilters(RpmFilter(2, 120.0, 4.0))]
+)
+def test_gyro_is_filtered_as_the_twins_at_the_rotors_turns(filters: GyroFilters) -> None:
+    aircraft = load_aircraft("nf1")
+    gyro = replace(aircraft.gyro, noise=(0.0, 0.0, 0.0), bias=0.0, vibration=(0.6, 0.5, 0.3))
+    case = Case(
+        aircraft=replace(aircraft, gyro=gyro),
+        observation="rate",
+        filters=filters,
+        steps=400,
+        count=3,
+        varied=False,
+        strength=0.05,
+    )
+    record = recorded(case)
+    seen = record.observation / 0.3
+    assert seen == pytest.approx(sensed_by_twin(case, record), abs=5e-3)
+    unfiltered = recorded(replace(case, filters=GyroFilters(mean=filters.mean)))
+    assert np.abs(unfiltered.observation / 0.3 - unfiltered.rate[::4]).max() > 0.2
+
+
+def test_gyro_vibrates_as_the_twins_by_what_is_drawn_for_each_aircraft() -> None:
+    aircraft = load_aircraft("nf1")
+    quiet = replace(aircraft, gyro=replace(aircraft.gyro, noise=(0.0, 0.0, 0.0), bias=0.0))
+    case = Case(
+        aircraft=quiet,
+        observation="rate",
+        samples=1,
+        steps=400,
+        count=3,
+        varied=False,
+        vibration=(0.0, 0.4, np.nan),
+    )
+    record = recorded(case)
+    assert record.observation / 0.3 == pytest.approx(sensed_by_twin(case, record), abs=2e-3)
+    shaken = np.abs(record.observation / 0.3 - record.rate).max(axis=(0, 1))
+    assert shaken[1] > 0.3 and shaken[[0, 2]].max() < 1e-6
 
 
 def test_an_aircraft_turns_as_fast_as_a_disturbance_accelerates_it() -> None:

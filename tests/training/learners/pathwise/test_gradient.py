@@ -9,11 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from neuroflight.toolchain.contract import Mix
+from neuroflight.toolchain.policy.gyro_filters import GyroFilters, RpmFilter
 from neuroflight.training.learners.pathwise.flights import Flights
 from tests.training.learners.pathwise.cases import EVERY_BLOCK, MEASURED, WEIGHTS, Case
 
 Floats = NDArray[np.floating]
 
+NO_ROTORS = EVERY_BLOCK.replace("rotor_speed,", "")  # of ESCs: these are told in steps, which have no slope
 CASES = {
     "every block": Case(),
     "iris": Case("iris"),
@@ -31,6 +33,8 @@ CASES = {
     "an lstm before a layer": Case(recurrent="lstm"),
     "measured rotors": Case(observation=MEASURED),
     "measured rotors without delay": Case(observation=MEASURED, noise=False),
+    "notches": Case(observation=NO_ROTORS, filters=GyroFilters(RpmFilter(), mean=True)),
+    "notches alone": Case("hexa", observation=NO_ROTORS, filters=GyroFilters(RpmFilter(2, 60.0, 3.0))),
     "low-passes": Case(observation=",".join(f"{name}~40Hz" for name in EVERY_BLOCK.split(","))),
     "ages": Case(observation=",".join(f"{name}@{1 + k}" for k, name in enumerate(EVERY_BLOCK.split(",")))),
     "all of a block": Case(observation="rate,rate~15Hz,rate~60Hz@3,rate@2,previous_motors@1,previous_motors"),

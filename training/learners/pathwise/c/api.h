@@ -15,6 +15,7 @@ enum {
 	POLYNOMIAL_MAX = 8,
 	TERMS_MAX = 32,
 	POINTS_MAX = 32,
+	NOTCHES_MAX = 3,
 	AGE_MAX = 16,
 };
 
@@ -58,10 +59,21 @@ struct gyro {
 	real turn[9];  /* rows times it: the body's axes to the chip's */
 	real follow;   /* share of the way to its input that the low-pass goes in a sample; 1: there is none */
 	bool vibrates;
-	real amplitude[3]; /* [rad/s], by one rotor at speed_max */
+	real amplitude[3]; /* of the vibration, over that of the worst axis */
+	real harmonics[2]; /* of it at 2 and 3 times the turns, for 1 at the turns */
 	real speed_max;    /* [rad/s] */
 	real counts;       /* a rad/s */
 	real count_max;
+};
+
+/* Notches at the rotors' turns and their multiples, which their ESCs tell. */
+struct notch_plan {
+	uint32_t harmonics; /* a motor and axis; 0: there are none */
+	real damping;       /* 1 / Q */
+	real turns;         /* a sample for a rad/s */
+	real least, highest; /* turns a sample: limits of the centres */
+	real fade;          /* 1 over the width above the least in which a notch fades in */
+	real least_gain;    /* tan of the lowest centre */
 };
 
 /* ---- the policy and what surrounds it ---- */
@@ -114,6 +126,7 @@ struct loss {
 struct plan {
 	size_t steps;     /* T */
 	uint32_t samples; /* S */
+	uint32_t seen;    /* the last ones of a control step, whose mean the controller sees */
 	uint32_t motors;  /* M */
 	real dt;          /* [s], of a sample */
 	bool rounded;     /* the gyro has counts, and ESCs have steps */
@@ -121,6 +134,7 @@ struct plan {
 	struct body body;
 	struct pack pack;
 	struct gyro gyro;
+	struct notch_plan notches;
 	struct controller controller;
 	struct loss loss;
 };
@@ -135,6 +149,7 @@ struct block {
 	const real *load;                   /* factor of the drag torque in the battery's power */
 	const real *charge;                 /* state of charge at the start; negative: the bench supply */
 	const int32_t *delay;               /* [samples], at least 1 */
+	const real *shake;                  /* [rad/s], of the worst axis by one rotor at speed_max, where the gyro vibrates */
 	const real *phase;                  /* (M) [rad], of the rotors at the start, where the gyro vibrates */
 	const real *setpoint;               /* (T, 3) [rad/s] */
 	const real *throttle;               /* (T) */

@@ -1,7 +1,8 @@
 /* Flies a block for an episode and goes back through the flight, step by step, to the derivatives of its loss.
  *
  * Four operations are taken as the identity there: the gyro's noise and counts, the steps of DShot, those of the words in which
- * ESCs tell rotor speeds, and the clip of the outputs, unless descent would move an output further outside. The battery's voltage is taken as constant over a sample. */
+ * ESCs tell rotor speeds, and the clip of the outputs, unless descent would move an output further outside. The battery's voltage is taken as constant over a sample,
+ * and so is where the gyro's notches are. */
 #include "aircraft.h"
 #include "policy.h"
 
@@ -28,6 +29,7 @@ static void flight_layout(struct tape *t, struct arena *a, const struct plan *p)
 	t->motors = arena_rows(a, fractions);
 	t->command = arena_rows(a, fractions);
 	t->by_motors = arena_rows(a, fractions);
+	t->notches = p->notches.harmonics > 0 ? arena_rows(a, 2u * p->notches.harmonics * (samples + 1u)) : NULL;
 	t->input = arena_rows(a, padded(t->width, PART));
 	t->passed = arena_rows(a, t->width);
 }
@@ -90,27 +92,13 @@ static void flight_sample(const struct plan *p, const struct block *b, const str
 	gyro_sample(gyros, p, b, n + 1u, &turning, rate_after);
 }
 
-/* A rotor's speed in the word of its ESC, as sim/physics/esc.py: the period in whole microseconds, of which nine bits fit. */
-static inline real speed_told(real turn, real speed)
-{
-	const real period = most(real_floor(turn / speed), R(1));
-	real step = R(1);
-
-	for (real full = R(1u << ESC_BITS); full < R(ESC_PERIOD_MAX); full += full)
-		step = period >= full ? step + step : step;
-	return period <= R(ESC_PERIOD_MAX) ? turn / (real_floor(period / step) * step) : R(0);
-}
-
 /* Those at control step k, or at the gyro sample before it, which are 0 before the first. */
 static void flight_sense_rotors(const struct plan *p, const struct tape *t, size_t k, real *told)
 {
 	const size_t sample = k * p->samples, late = k > 0 && p->controller.rotors_late;
 	const real *const speed = t->rotor_speed + (sample - late) * p->motors * LANES;
 
-	for (size_t m = 0; m < p->motors; ++m)
-		FOR_LANES(l)
-			told[m * LANES + l] = p->controller.words ? speed_told(p->controller.rotor_turn, speed[m * LANES + l]) :
-							   speed[m * LANES + l];
+	rotors_told(p, speed, told);
 }
 
 /* What the policy senses at control step k. action: its last output; not read at the first step. */
@@ -158,7 +146,7 @@ static void flight_forward(const struct plan *p, const struct block *b, const st
 	rows_clear(t->value, AGE_MAX * t->width);
 	if (p->pack.present)
 		supply_begin(&supply, p, b, t->ratio);
-	gyro_begin(&gyros, p, b, t->rate);
+	gyro_begin(&gyros, p, b, t->rate, t->notches);
 	for (size_t k = 0; k < p->steps; ++k) {
 		real *const action = actions[k % 2u], *const before = actions[(k + 1u) % 2u];
 		real *const unclipped = t->unclipped + k * rows;
@@ -244,7 +232,7 @@ static void flight_policy_back(const struct plan *p, const struct block *b, stru
 
 static void flight_backward(const struct plan *p, const struct block *b, struct tape *t)
 {
-	const real share = R(1) / R(p->samples);
+	const real share = R(1) / R(p->seen);
 	real by_action[MOTORS_MAX * LANES] = {0};
 	struct by_state by = {0};
 	struct by_gyros by_gyros = {0};
@@ -252,6 +240,8 @@ static void flight_backward(const struct plan *p, const struct block *b, struct 
 	struct estimates by_estimates = {0};
 	real by_told[MOTORS_MAX * LANES] = {0}; /* of the control step after the samples, by the speeds that ESCs tell */
 
+	if (p->notches.harmonics > 0)
+		notches_end(&by_gyros.notches, p, flight_samples(p), t->notches);
 	rows_clear(t->by_motors, p->steps * p->motors);
 	rows_clear(t->by_value + p->steps * t->by_width * LANES, AGE_MAX * t->by_width);
 	rows_clear(t->passed, t->width);
@@ -262,7 +252,7 @@ static void flight_backward(const struct plan *p, const struct block *b, struct 
 			const size_t n = k * p->samples + s;
 
 			if (s + 1u < p->samples)
-				gyro_sample_back(&by_gyros, p, false, by.rate);
+				gyro_sample_back(&by_gyros, p, n + 1u, by.rate);
 			flight_sample_back(p, b, t, n, &by);
 			if (p->controller.rotors_late && s + 1u == p->samples)
 				rows_add(by.rotor_speed, by_told, p->motors);
@@ -273,7 +263,7 @@ static void flight_backward(const struct plan *p, const struct block *b, struct 
 		loss_back_rate(p, b, t, k, by.rate);
 		for (size_t i = 0; i < 3u * LANES; ++i)
 			by_gyros.by_mean[i] = share * by_gyro[i];
-		gyro_sample_back(&by_gyros, p, k == 0, by.rate);
+		gyro_sample_back(&by_gyros, p, k * p->samples, by.rate);
 	}
 }
 

@@ -2,23 +2,23 @@
 
 static const real quarter_phase[3] = {R(0), R(0.25), R(0.125)}; /* turns, between the axes of the vibration */
 
-/* sin of an angle in turns, to 1e-7. */
-static inline real sine_of(real turns)
+/* At h + 2 times the turns. */
+static void gyro_vibrate_faster(const struct gyros *g, const struct plan *p, const struct turning *t, const real *shake,
+				size_t h, real *reading)
 {
-	const real within = turns - real_rint(turns);
-	const real folded = within > R(0.25) ? R(0.5) - within : within < R(-0.25) ? R(-0.5) - within : within;
-	const real x = folded * R(6.283185307179586), square = x * x;
-	real sum = R(-2.505210838544172e-8);
+	for (size_t m = 0; m < p->motors; ++m)
+		FOR_LANES(l) {
+			const real strength = t->after[m * LANES + l] / p->gyro.speed_max;
+			const real phase = R(h + 2u) * g->phase[m * LANES + l];
 
-	sum = real_fma(sum, square, R(2.755731922398589e-6));
-	sum = real_fma(sum, square, R(-1.984126984126984e-4));
-	sum = real_fma(sum, square, R(8.333333333333333e-3));
-	sum = real_fma(sum, square, R(-0.16666666666666666));
-	return real_fma(sum * square, x, x);
+			for (size_t j = 0; j < 3; ++j)
+				reading[j * LANES + l] += p->gyro.amplitude[j] * shake[l] * p->gyro.harmonics[h] *
+							  strength * strength * sine_of(phase + quarter_phase[j]);
+		}
 }
 
 /* An unbalanced rotor shakes across its own axis in a circle, with the square of its speed. */
-static void gyro_vibrate(struct gyros *g, const struct plan *p, const struct turning *t, real *reading)
+static void gyro_vibrate(struct gyros *g, const struct plan *p, const struct turning *t, const real *shake, real *reading)
 {
 	for (size_t m = 0; m < p->motors; ++m)
 		FOR_LANES(l) {
@@ -30,9 +30,12 @@ static void gyro_vibrate(struct gyros *g, const struct plan *p, const struct tur
 
 			g->phase[m * LANES + l] = phase;
 			for (size_t j = 0; j < 3; ++j)
-				reading[j * LANES + l] += p->gyro.amplitude[j] * strength * strength *
+				reading[j * LANES + l] += p->gyro.amplitude[j] * shake[l] * strength * strength *
 							  sine_of(phase + quarter_phase[j]);
 		}
+	for (size_t h = 0; h < 2; ++h)
+		if (p->gyro.harmonics[h] != R(0))
+			gyro_vibrate_faster(g, p, t, shake, h, reading);
 }
 
 /* The chip's 16-bit counts, as the firmware turns them back into a rate. */
@@ -62,40 +65,55 @@ static void gyro_read(struct gyros *g, const struct plan *p, const struct block 
 			reading[j * LANES + l] = lagged + noise[j * LANES + l];
 		}
 	if (gyro->vibrates && t != NULL)
-		gyro_vibrate(g, p, t, reading);
+		gyro_vibrate(g, p, t, b->shake, reading);
 	for (size_t i = 0; p->rounded && i < 3u * LANES; ++i)
 		reading[i] = gyro_counted(gyro, reading[i]);
 }
 
-/* The first sample counts as if there had been as many of it as in a control step. */
-void gyro_begin(struct gyros *g, const struct plan *p, const struct block *b, const real *rate)
+/* The first sample counts as if there had been as many of it as are seen. */
+void gyro_begin(struct gyros *g, const struct plan *p, const struct block *b, const real *rate, real *kept)
 {
 	real reading[3 * LANES];
 
 	if (p->gyro.vibrates)
 		rows_copy(g->phase, b->phase, p->motors);
 	gyro_read(g, p, b, 0, NULL, rate, reading);
+	if (p->notches.harmonics > 0) {
+		notches_begin(&g->notches, p, kept);
+		notches_sample(&g->notches, p, 0, reading);
+	}
 	rows_clear(g->sum, 3);
-	for (uint32_t s = 0; s < p->samples; ++s)
+	for (uint32_t s = 0; s < p->seen; ++s)
 		for (size_t i = 0; i < 3u * LANES; ++i)
 			g->sum[i] += reading[i];
 }
 
-/* Takes the reading after a sample. */
+/* Is sample n among those whose mean the next control step sees, or the one at it? */
+static bool gyro_seen(const struct plan *p, size_t n)
+{
+	return (p->samples - n % p->samples) % p->samples < p->seen;
+}
+
+/* Takes the reading after a sample. The rotors' speeds are told at control steps. */
 void gyro_sample(struct gyros *g, const struct plan *p, const struct block *b, size_t sample, const struct turning *t,
 		 const real *rate)
 {
 	real reading[3 * LANES];
 
 	gyro_read(g, p, b, sample, t, rate, reading);
-	for (size_t i = 0; i < 3u * LANES; ++i)
+	if (p->notches.harmonics > 0) {
+		if (sample % p->samples == 0)
+			rotors_told(p, p->controller.rotors_late ? t->before : t->after, g->notches.told);
+		notches_sample(&g->notches, p, sample, reading);
+	}
+	for (size_t i = 0; gyro_seen(p, sample) && i < 3u * LANES; ++i)
 		g->sum[i] += reading[i];
 }
 
 /* What the controllers see, rows (3). */
 void gyro_mean(struct gyros *g, const struct plan *p, real *mean)
 {
-	const real share = R(1) / R(p->samples);
+	const real share = R(1) / R(p->seen);
 
 	for (size_t i = 0; i < 3u * LANES; ++i)
 		mean[i] = g->sum[i] * share;
@@ -103,14 +121,18 @@ void gyro_mean(struct gyros *g, const struct plan *p, real *mean)
 }
 
 /* Adds to by_rate what goes through the reading of a sample. Counts, noise and vibration are taken as constant. */
-void gyro_sample_back(struct by_gyros *g, const struct plan *p, bool first, real *by_rate)
+void gyro_sample_back(struct by_gyros *g, const struct plan *p, size_t sample, real *by_rate)
 {
 	const struct gyro *const gyro = &p->gyro;
-	const real follow = first ? R(1) : gyro->follow;
-	real by_input[3 * LANES];
+	const real follow = sample == 0 ? R(1) : gyro->follow;
+	real by_input[3 * LANES], by_reading[3 * LANES] = {0};
 
+	if (gyro_seen(p, sample))
+		rows_copy(by_reading, g->by_mean, 3);
+	if (p->notches.harmonics > 0)
+		notches_back(&g->notches, p, sample, by_reading);
 	for (size_t i = 0; i < 3u * LANES; ++i) {
-		const real by_lagged = g->by_mean[i] + g->by_lagged[i];
+		const real by_lagged = by_reading[i] + g->by_lagged[i];
 
 		by_input[i] = follow * by_lagged;
 		g->by_lagged[i] = (R(1) - follow) * by_lagged;

@@ -105,7 +105,7 @@ void pid_trial_run(const struct plan *p, const struct block *b, const struct pid
 	real y[MOTORS_MAX * LANES], action[MOTORS_MAX * LANES], motors[MOTORS_MAX * LANES];
 
 	rows_clear(figures, 7);
-	gyro_begin(&gyros, p, b, craft.rate[0]);
+	gyro_begin(&gyros, p, b, craft.rate[0], NULL);
 	for (size_t k = 0; k < p->steps; ++k) {
 		const real *const setpoint = b->setpoint + 3u * k * LANES;
 		real *const command = craft.command[k % COMMANDS_KEPT];

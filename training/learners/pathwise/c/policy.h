@@ -21,6 +21,7 @@ struct tape {
 	real *command;     /* (T, M), as ESCs decode them */
 	real *by_motors;   /* (T, M), derivatives of the loss by motors */
 	real *by_value;    /* (T + AGE_MAX, by_width), derivatives by the network's inputs at the step at which they are seen */
+	real *notches;     /* ((T - 1) S + 1, 2 harmonics), of notches.c; NULL: there are none */
 	real *input;       /* (n), of a step */
 	real *passed;      /* (n), of the low-passes */
 };

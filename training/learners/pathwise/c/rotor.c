@@ -180,3 +180,25 @@ void rotors_moment_back(const struct plan *p, const struct block *b, const struc
 								 matrix[(3u + c) * LANES + l] * by_pitch[l] +
 								 matrix[(6u + c) * LANES + l] * by_yaw[l]);
 }
+
+/* A rotor's speed in the word of its ESC, as sim/physics/esc.py: the period in whole microseconds, of which nine bits fit. */
+static inline real speed_told(real turn, real speed)
+{
+	const real period = most(real_floor(turn / speed), R(1));
+	real step = R(1);
+
+	for (real full = R(1u << ESC_BITS); full < R(ESC_PERIOD_MAX); full += full)
+		step = period >= full ? step + step : step;
+	return period <= R(ESC_PERIOD_MAX) ? turn / (real_floor(period / step) * step) : R(0);
+}
+
+/* Speeds that ESCs tell of these, rows (M). */
+void rotors_told(const struct plan *p, const real *speed, real *restrict told)
+{
+	if (!p->controller.words) {
+		rows_copy(told, speed, p->motors);
+		return;
+	}
+	for (size_t i = 0; i < p->motors * LANES; ++i)
+		told[i] = speed_told(p->controller.rotor_turn, speed[i]);
+}
