@@ -155,7 +155,7 @@ def test_the_code_arms_and_flies_the_same_bits_on_every_board(
 
 def with_two_gyros() -> list[str]:
     """The boards whose second gyro can be chosen."""
-    served = [verdict.allocation for verdict in map(judge, boards().values()) if verdict.allocation]
+    served = [allocation for board in supported() if (allocation := judge(board).allocation)]
     return [one.board.name for one in served if one.gyros[1:] and one.gyros[1].spi != 0]
 
 
