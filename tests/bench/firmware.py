@@ -6,7 +6,6 @@ is counted (`neuroflight image time` does the same).
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -14,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import onnx
 
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.board.board import Board
@@ -24,23 +22,23 @@ from neuroflight.sim.flight.loop import fly
 from neuroflight.sim.flight.scenario import Scenario, Segment
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.ports.emulator import EmulatedPort
-from neuroflight.toolchain.contract import GYRO_EDGE_RATE_HZ, META_FILTERS, LogDevice
+from neuroflight.toolchain.contract import GYRO_EDGE_RATE_HZ, LogDevice
 from neuroflight.toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES
 from neuroflight.toolchain.cortex_m7.disassembly import disassemble
 from neuroflight.toolchain.image.build import build
-from neuroflight.toolchain.policy.gyro_filters import GyroFilters
+from neuroflight.toolchain.image.report import needed_settings
 
 ROOT = Path(__file__).resolve().parents[2]
-POLICY = ROOT / "training" / "policies" / "nf1" / "policy.onnx"  # the shipped one
+POLICIES = ROOT / "training" / "policies"
 AIRCRAFT, SEED = "nf1", 1
 CYCLES_BAR = 22_000  # of 216,000 in a control period at 1 kHz, 108,000 at 2 kHz
 VARIES_BAR = 0.06  # a frame of the receiver, in some steps, takes about 1,000 cycles
 LOGGED_BAR = 0.02  # of a control step's instructions
-# Notches on three harmonics of each motor, all ESCs answer, the slowest rotor is kept turning.
-ALL_TOLD = GyroFilters.parse("rpm:3,mean")
-FLIGHTS: Mapping[str, Mapping[str, float]] = {
-    "as delivered": {},
-    "all that ESCs tell": {**ALL_TOLD.settings, "dynamic_idle_rpm": 2000},
+# Of each flight the shipped policy, and settings besides those that it needs. The second one's are notches on
+# three harmonics of each motor, by the answers of all ESCs; the slowest rotor is kept turning as well.
+FLIGHTS: Mapping[str, tuple[str, Mapping[str, float]]] = {
+    "as delivered": ("nf1", {}),
+    "all that ESCs tell": ("nf1-rpm", {"dynamic_idle_rpm": 2000}),
 }
 
 
@@ -68,9 +66,9 @@ class Row:
 
 
 def rows(steps: int, say: Callable[[str], None] = lambda text: None) -> list[Row]:
-    """The control task over `steps` armed control steps of each of FLIGHTS, around the shipped policy."""
+    """The control task over `steps` armed control steps of each of FLIGHTS."""
     with tempfile.TemporaryDirectory(prefix="neuroflight-bench-") as folder:
-        return [_row(flight, settings, steps, Path(folder), say) for flight, settings in FLIGHTS.items()]
+        return [_row(flight, *flown, steps, Path(folder), say) for flight, flown in FLIGHTS.items()]
 
 
 def print_table(measured: Sequence[Row]) -> None:
@@ -100,13 +98,18 @@ def _span(least: int, most: int) -> str:
 
 
 def _row(
-    flight: str, settings: Mapping[str, float], steps: int, folder: Path, say: Callable[[str], None]
+    flight: str,
+    policy: str,
+    besides: Mapping[str, float],
+    steps: int,
+    folder: Path,
+    say: Callable[[str], None],
 ) -> Row:
     say(f"{flight}: building")
-    policy = folder / "policy.onnx"
-    policy.write_bytes(_behind(ALL_TOLD) if settings else POLICY.read_bytes())
-    report = build("MATEKF722", policy, ROOT, folder, pid_table(load_aircraft(AIRCRAFT)))
+    network = POLICIES / policy / "policy.onnx"
+    report = build("MATEKF722", network, ROOT, folder, pid_table(load_aircraft(AIRCRAFT)))
     image = folder / "MATEKF722" / "neuroflight.bin"
+    settings = {**needed_settings(image), **besides}
     say(f"{flight}: flying")
     (task, between), reason = _costs(image, settings, steps)
     bare, bare_between = _costs(image, {**settings, "blackbox_device": LogDevice.NONE}, steps)[0]
@@ -125,15 +128,6 @@ def _row(
     )
 
 
-def _behind(filters: GyroFilters) -> bytes:
-    """The shipped policy as if it had been trained behind `filters`: it computes the same."""
-    model = onnx.load(POLICY)
-    (entry,) = (entry for entry in model.metadata_props if entry.key == META_FILTERS)
-    entry.value = json.dumps(filters.chain)
-    whole: bytes = model.SerializeToString()
-    return whole
-
-
 def _costs(
     image: Path, settings: Mapping[str, float], steps: int
 ) -> tuple[tuple[TaskCost, TaskCost], str | None]:
@@ -146,7 +140,9 @@ def _costs(
         meters.append(ControlMeter(board, elf, code))
         return meters[0].run_to
 
-    segments = (Segment(0.1, (150.0 * (-1) ** k, 40.0 * (k % 5), -30.0), 0.3) for k in range(steps // 100))
+    segments = (
+        Segment(0.1, (150.0 * (-1) ** k, 40.0 * (k % 5), -30.0), 0.3) for k in range(1 + steps // 100)
+    )
     scenario = Scenario("busy", tuple(segments))
     with closing(EmulatedPort(image, settings=settings, attach=attach)) as port:
         rng = np.random.default_rng((SEED, 1))
