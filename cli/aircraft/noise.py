@@ -47,6 +47,7 @@ class MeasureNoise(OfGyroLog):
         from rich.console import Console
 
         from neuroflight.sim.aircraft.edit import edit_aircraft
+        from neuroflight.sim.aircraft.known import SOURCE_MAX, How, Known
         from neuroflight.sim.identification.gyro_noise import (
             aircraft_keys,
             doubts,
@@ -72,7 +73,10 @@ class MeasureNoise(OfGyroLog):
             what = "not at rest" if noise.moved else "noise at rest"
             picture = png(draw_noise(noise, recording, f"{self.log.name}: {what}")) if self.plot else b""
         if self.write:
-            edit_aircraft(self.write, aircraft_keys(noise))
+            mark = Known(How.MEASURED, None, f"{self.log.name} at rest"[:SOURCE_MAX])
+            keys = aircraft_keys(noise)
+            known = {f"{table}.{key}": mark for table, values in keys.items() for key in values}
+            edit_aircraft(self.write, keys, known=known)
         if self.plot:
             write_bytes(self.plot, picture)
         warnings = [*doubts(noise), *recording.notes]

@@ -13,6 +13,7 @@ from neuroflight.cli.requests import Argument, Option, Request
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
+    from neuroflight.sim.aircraft.known import Known
     from neuroflight.sim.aircraft.model import Aircraft
     from neuroflight.sim.identification.propeller import Curve, PropellerFit
     from neuroflight.sim.identification.propeller_tables import Tables
@@ -86,7 +87,8 @@ class Propeller(Request):
         )
         if self.write:
             advance = {"thrust": fit.advance.thrust, "torque": fit.advance.torque}
-            edit_aircraft(self.write, {"propulsion.advance_ratio": advance})
+            marked = {"propulsion.advance_ratio": _mark(self)}
+            edit_aircraft(self.write, {"propulsion.advance_ratio": advance}, known=marked)
         if self.plot:
             write_bytes(self.plot, picture)
         if self.json:
@@ -214,7 +216,7 @@ def _run_rest(args: Propeller, tables: Tables) -> int:
         k_t, k_q = thrust_coefficient(c_t, diameter, AIR_DENSITY), torque_ratio(c_t, c_q, diameter)
     found = Coefficients(c_t, c_q, diameter, k_t, k_q)
     if args.write:
-        _write(args.write, found)
+        _write(args.write, found, _mark(args))
     if args.json:
         document = {
             "tables": [str(path) for path in args.tables],
@@ -246,7 +248,14 @@ def _diameter(args: Propeller) -> float | None:
     return load_aircraft(name).propulsion.propeller_diameter if name else None
 
 
-def _write(path: Path, found: Coefficients) -> None:
+def _mark(args: Propeller) -> Known:
+    """Return how numbers from tables are known: as of the propeller's kind, not of the aircraft's own."""
+    from neuroflight.sim.aircraft.known import SOURCE_MAX, How, Known
+
+    return Known(How.TYPICAL, None, ", ".join(path.name for path in args.tables)[:SOURCE_MAX])
+
+
+def _write(path: Path, found: Coefficients, mark: Known) -> None:
     """Write the coefficients into the aircraft file, in the form that it already uses."""
     import tomllib
 
@@ -254,12 +263,13 @@ def _write(path: Path, found: Coefficients) -> None:
 
     kept = tomllib.loads(path.read_text(encoding="utf-8")).get("propulsion", {})
     if "c_t" in kept:
-        edit_aircraft(path, {"propulsion": {"c_t": _rounded(found.c_t), "c_q": _rounded(found.c_q)}})
+        keys = {"c_t": _rounded(found.c_t), "c_q": _rounded(found.c_q)}
+        edit_aircraft(path, {"propulsion": keys}, known={f"propulsion.{key}": mark for key in keys})
         return
     if found.k_t is None or found.k_q is None:
         raise NeuroflightError(f"{path} has no propeller_diameter_m, which K_T and K_Q need; give --diameter")
     changes = {"thrust_coefficient": _rounded(found.k_t), "torque_ratio_m": _rounded(found.k_q)}
-    edit_aircraft(path, {"propulsion": changes})
+    edit_aircraft(path, {"propulsion": changes}, known={f"propulsion.{key}": mark for key in changes})
 
 
 def _print_rest(args: Propeller, tables: Tables, found: Coefficients) -> None:

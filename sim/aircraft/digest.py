@@ -7,7 +7,8 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-NOT_FLOWN = ("name", "description", "pid")  # tables and keys of the file that do not change the twin's flight
+# Tables and keys of the file that do not change the twin's flight.
+NOT_FLOWN = ("name", "description", "pid", "known")
 
 # Old policies hold the digest of the aircraft file's bytes. Here: the digest of a shipped file's bytes, and
 # that of the aircraft it describes. The first two files gave the NF1's battery as 1.55 Ah instead of 1.5; the
@@ -25,7 +26,7 @@ EARLIER = {
 
 
 def flown_sha256(document: Mapping[str, Any], mesh: Callable[[str], bytes]) -> str:
-    """Compute a digest of what the twin flies: the file without names, comments and PIDs, and its meshes.
+    """Compute a digest of what the twin flies: the file without names, marks, comments and PIDs, its meshes.
 
     Order of keys, layout and how a number is written do not count; a key written out counts, even with the
     value that it has when left out. document: of a valid aircraft. mesh: returns a mesh's bytes by its name.

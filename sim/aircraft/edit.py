@@ -5,12 +5,13 @@ from __future__ import annotations
 import copy
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from neuroflight.sim.aircraft.model import FILE_BYTES_MAX, parse_aircraft
+from neuroflight.sim.aircraft.known import Known, is_named, known_line
+from neuroflight.sim.aircraft.model import FILE_BYTES_MAX, over_base, parse_aircraft
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.files import read_limited, write_bytes
 from neuroflight.toolchain.strict_toml import parse_toml
@@ -24,6 +25,7 @@ _OPAQUE = re.compile(
     r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|(?P<comment>#[^\n]*)', re.DOTALL
 )
 _HEADER = re.compile(r"[ \t]*\[[ \t]*([A-Za-z0-9_-]+(?:[ \t]*\.[ \t]*[A-Za-z0-9_-]+)*)[ \t]*\][ \t]*\r?\n?")
+_MARK = re.compile(r"""[ \t]*("(?:\\.|[^"\\\n])*"|'[^'\n]*')[ \t]*=""")  # a quoted key, as [known] has
 _ASSIGNMENT = re.compile(r"[ \t]*([A-Za-z0-9_-]+)[ \t]*=[ \t]*")
 
 
@@ -39,12 +41,17 @@ class Statement:
 
 
 def edit_aircraft(
-    source: Path, changes: Changes, target: Path | None = None, note: tuple[str, str] | None = None
+    source: Path,
+    changes: Changes,
+    target: Path | None = None,
+    note: tuple[str, str] | None = None,
+    known: Mapping[str, Known] | None = None,
 ) -> None:
     """Give the file at `source` the values of `changes`; keys and tables that it lacks are added.
 
     target: gets the edited file; None: `source` does. note: begin and end of a comment below the header of
-    the first table, in place of one that begins so. What is written has been read back as an aircraft first.
+    the first table, in place of one that begins so. known: marks of numbers, in place of what marked them.
+    A mark whose number goes, goes with it. What is written has been read back as an aircraft first.
     Raises AircraftError, the file untouched, on one that is missing, too large or not TOML, that keeps a
     table in another form than [table], or that is no valid aircraft afterwards.
     """
@@ -59,8 +66,37 @@ def edit_aircraft(
             text = with_key(text, table, key, value)
     if note is not None:
         text = _with_note(text, next(iter(changes)), *note)
+    expected = _expected(before, changes)
+    if isinstance(marks := expected.get("known"), dict) and "" not in expected:
+        whole = over_base(expected, str(source))
+        gone = [key for key in marks if not is_named(whole, key)]
+        text = _without_marks(text, gone)
+        expected["known"] = {key: mark for key, mark in marks.items() if key not in gone}
+    if known:
+        text = with_known(text, known)
+        kept = {key: mark for key, mark in expected.get("known", {}).items() if not _replaced(key, known)}
+        expected["known"] = kept | tomllib.loads("\n".join(known_line(*mark) for mark in known.items()))
     tables = " and ".join(f"[{table}]" for table in changes)
-    write_edited(source, target or source, text, _expected(before, changes), tables)
+    write_edited(source, target or source, text, expected, tables)
+
+
+def with_known(text: str, known: Mapping[str, Known]) -> str:
+    """Return the text of an aircraft file with these marks in [known], in place of what marked the same.
+
+    A mark replaces those of its list's or its table's single numbers too. The numbers must be in the file.
+    """
+    newline = newline_of(text)
+    marked = [key for each in statements(text) if (key := _marked(each)) and _replaced(key, known)]
+    text = _without_marks(text, marked)
+    lines = [f"{known_line(*mark)}{newline}" for mark in known.items()]
+    if text and not text.endswith("\n"):
+        text += newline
+    found = statements(text)
+    within = [number for number, each in enumerate(found, 1) if each.table == "known" and each.text.strip()]
+    if not within:
+        return "".join([text, f"{newline}[known]{newline}", *lines])
+    texts = [each.text for each in found]
+    return "".join([*texts[: within[-1]], *lines, *texts[within[-1] :]])
 
 
 def write_edited(source: Path, target: Path, text: str, expected: dict[str, Any], tables: str) -> None:
@@ -129,6 +165,23 @@ def with_key(text: str, table: str, key: str, value: Value | None) -> str:
         lines.append(f"{newline}[{table}]{newline}")
     lines.insert(below[-1] if below else len(lines), f"{key} = {_toml(value)}{newline}")
     return "".join(lines)
+
+
+def _marked(statement: Statement) -> str:
+    """Return the key of a mark; "" of another statement."""
+    if statement.table != "known" or statement.heads:
+        return ""
+    quoted = _MARK.match(statement.text)
+    return str(tomllib.loads(f"key = {quoted[1]}")["key"]) if quoted else statement.key
+
+
+def _without_marks(text: str, keys: Collection[str]) -> str:
+    return "".join(each.text for each in statements(text) if (_marked(each) or None) not in keys)
+
+
+def _replaced(key: str, known: Mapping[str, Known]) -> bool:
+    """Return True if one of `known` marks what `key` marked, or all of it."""
+    return any(key == new or key.startswith((f"{new}.", f"{new}[")) for new in known)
 
 
 def _with_note(text: str, table: str, begin: str, end: str) -> str:

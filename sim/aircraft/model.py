@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from neuroflight.sim.aircraft.advance import AdvanceRatio, read_advance
 from neuroflight.sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, reject_collisions
 from neuroflight.sim.aircraft.airframe import Rotor as Rotor
 from neuroflight.sim.aircraft.digest import EARLIER, file_sha256, flown_sha256
+from neuroflight.sim.aircraft.known import Known, read_known
 from neuroflight.sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
 from neuroflight.sim.aircraft.props_out import SUFFIX, props_out
 from neuroflight.sim.arrays import Array
@@ -192,6 +194,7 @@ class Aircraft:
     centre_of_thrust: Vector  # [m], where the attitude rig holds it
     pids: tuple[tuple[str, PidSettings], ...]  # by name; the first is the aircraft's own
     mass_properties: MassProperties
+    known: Mapping[str, Known]  # how its numbers are known, by their keys; a number without has no mark
 
     @property
     def motor_count(self) -> int:
@@ -270,6 +273,7 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: 
     battery = root.optional_part("battery", _battery)
     body = root.optional_part("body", _body)
     pids = root.optional_part("pid", lambda table: _pids(table, len(rotors))) or ()
+    known = root.optional_part("known", lambda table: read_known(table, document)) or {}
     root.finish()
     parts += mounted
     return Aircraft(
@@ -288,6 +292,7 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: 
         centre_of_thrust=centre_of_thrust,
         pids=pids,
         mass_properties=mass_properties(parts),
+        known=known,
     )
 
 

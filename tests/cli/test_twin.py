@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.known import How
 from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
 from tests.refusal import refused
 
@@ -69,9 +70,12 @@ def test_aircraft_takes_the_noise_and_keeps_the_rest_when_written(log: Path, tmp
     assert aircraft.accelerometer is not None
     assert aircraft.accelerometer.noise == pytest.approx([0.1] * 3, rel=0.025)
     assert aircraft.propulsion == before.propulsion
-    lines = zip(NF1.decode().splitlines(), path.read_text().splitlines(), strict=True)
+    text, _, marks = path.read_text().partition("\n[known]\n")
+    lines = zip(NF1.decode().splitlines(), text.splitlines(), strict=True)
     changed = [old.split(" = ")[0] for old, new in lines if old != new]
     assert changed == ["noise_deg_s", "bias_deg_s", "noise_m_s2"]
+    assert marks.count("\n") == len(aircraft.known) == 3
+    assert all(mark.how is How.MEASURED and log.name in mark.source for mark in aircraft.known.values())
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from neuroflight.sim.aircraft.edit import Changes, Value, edit_aircraft
+from neuroflight.sim.aircraft.known import How, Known
 from neuroflight.sim.aircraft.model import RPM, TorqueResponse, load_aircraft
 from neuroflight.sim.identification.dyno.fit import Fit
 from neuroflight.sim.identification.dyno.points import PointsFit
@@ -45,7 +46,9 @@ def write_fit(
     fitted = [key for key, value in changes["propulsion"].items() if value is not None]
     shown = "".join(character for character in data if character.isprintable())[:NOTE_MAX]
     told = f"{shown}: {', '.join([*fitted, *(['response'] if len(changes) > 1 else [])])}"
-    edit_aircraft(source, changes, target, (NOTE, told))
+    mark = Known(How.MEASURED, None, f"dyno fit to {shown}"[:NOTE_MAX])
+    marked = {f"propulsion.{key}": mark for key in fitted} | dict.fromkeys(list(changes)[1:], mark)
+    edit_aircraft(source, changes, target, (NOTE, told), marked)
 
 
 def _changes(fit: Fit | PointsFit, inertia: float | None, known: float) -> Changes:

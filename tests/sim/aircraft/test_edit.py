@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from neuroflight.sim.aircraft.edit import edit_aircraft
+from neuroflight.sim.aircraft.edit import Value, edit_aircraft
+from neuroflight.sim.aircraft.known import How, Known
 from neuroflight.sim.aircraft.model import FILE_BYTES_MAX, FOLDER, load_aircraft
 from neuroflight.toolchain.errors import AircraftError
 
@@ -91,6 +92,51 @@ def test_text_that_looks_like_a_table_is_left_alone_when_it_is_a_string(tmp_path
     path = write(tmp_path, data)
     edit_aircraft(path, {"gyro": {"bias_deg_s": 0.75}})
     assert path.read_bytes() == data.replace(b"bias_deg_s = 0.25", b"bias_deg_s = 0.75")
+
+
+MARKS = b"""
+[known]
+# what the pilot said
+"gyro.noise_deg_s[1]" = { how = "measured", range = [0.9, 1.1], from = "a log" }
+"gyro.bias_deg_s" = { how = "guessed" } # a day
+"propulsion.response.gain" = { how = "typical", from = "a \\"page\\"" }
+esc = { how = "guessed" }
+
+[pid.last]
+roll = [1.0, 1.0, 0.0]
+pitch = [1.0, 1.0, 0.0]
+yaw = [1.0, 1.0, 0.0]
+"""
+
+
+def test_new_mark_replaces_what_marked_the_number_and_leaves_the_others(tmp_path: Path) -> None:
+    path = write(tmp_path, NF1 + MARKS)
+    before = load_aircraft(path).known
+    new = {"gyro.noise_deg_s": Known(How.MEASURED, None, "LOG 2"), "esc": Known(How.TYPICAL, None, "a page")}
+    edit_aircraft(path, {"gyro": {"noise_deg_s": NOISE}}, known=new)
+    kept = {key: before[key] for key in ("gyro.bias_deg_s", "propulsion.response.gain")}
+    assert load_aircraft(path).known == kept | new
+    text = path.read_text()
+    assert '# what the pilot said\n"gyro.bias_deg_s" = { how = "guessed" } # a day\n' in text
+    assert dict(load_aircraft(path).pids)["last"].gains[0] == (1.0, 1.0, 0.0)
+    plain = write(tmp_path, NF1)
+    edit_aircraft(plain, {"gyro": {"noise_deg_s": NOISE}}, known=new)
+    assert load_aircraft(plain).known == new
+
+
+def test_mark_goes_with_its_number(tmp_path: Path) -> None:
+    path = write(tmp_path, NF1 + MARKS)
+    lag: dict[str, Value | None] = {"kind": "first_order", "time_constant_up_s": 0.03}
+    lag |= {"time_constant_down_s": 0.04, "gain": None, "torque_up_n_m": None, "torque_down_n_m": None}
+    edit_aircraft(path, {"propulsion.response": lag})
+    assert list(load_aircraft(path).known) == ["gyro.noise_deg_s[1]", "gyro.bias_deg_s", "esc"]
+
+
+def test_mark_of_a_number_that_only_the_base_has_stays(tmp_path: Path) -> None:
+    own = b'format = 1\nbase = "nf1"\nname = "own"\n[known]\n"propulsion.delay_s" = { how = "guessed" }\n'
+    path = write(tmp_path, own)
+    edit_aircraft(path, {"gyro": {"bias_deg_s": 0.75}})
+    assert list(load_aircraft(path).known) == ["propulsion.delay_s"]
 
 
 @pytest.mark.parametrize(

@@ -489,6 +489,8 @@ nominal_voltage_v = 15
 roll = [-1, -1, 1, 1]
 pitch = [1, -1, 1, -1]
 yaw = [1, -1, -1, 1]
+[known]
+"propulsion.delay_s" = { how = "typical", from = "a page", range = [1, 2] }
 """
 
 
@@ -523,6 +525,7 @@ def test_guide_lists_every_key_with_its_range_and_default_when_compared_with_the
     monkeypatch.setattr(neuroflight.sim.aircraft.model, "StrictTable", Recording)
     for text in every_form(tmp_path):
         assert isinstance(parse_aircraft(text.encode(), "mine", tmp_path), Aircraft)
+    asked = {key.replace("known.propulsion.delay_s.", "known.NAME."): of for key, of in asked.items()}
     other_pids = {name for name in asked if name.startswith("pid.") and not name.startswith("pid.NAME.")}
     row = r"^\| `([\w.]+)` \|[^|]*\|([^|]*)\|([^|]*)\|[^|]*\|$"  # key, unit, range, default, meaning
     rows = re.findall(row, KEYS, re.MULTILINE)

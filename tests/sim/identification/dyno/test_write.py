@@ -48,7 +48,16 @@ def test_fit_stands_in_the_file_and_all_else_stays_when_written(tmp_path: Path, 
     assert isinstance(propulsion.response, TorqueResponse)
     assert propulsion.response.torque_up == pytest.approx(0.1, rel=0.01)
     assert propulsion.response.torque_down == pytest.approx(0.2, rel=0.01)
-    before, after = SOURCE.read_text().splitlines(), target.read_text().splitlines()
+    marks = load_aircraft(target).known
+    assert list(marks) == [
+        "propulsion.speed_curve_rpm",
+        "propulsion.thrust_coefficient",
+        "propulsion.torque_ratio_m",
+        "propulsion.response",
+    ]
+    assert all(mark.source == "dyno fit to bench.csv" for mark in marks.values())
+    text = target.read_text().partition("\n[known]\n")[0]
+    before, after = SOURCE.read_text().splitlines(), text.splitlines()
     note = [line for line in after if "dyno fit" in line]
     assert len(note) == 1 and "bench.csv" in note[0]
     after.remove(note[0])
@@ -72,10 +81,12 @@ def test_response_changes_its_kind_when_another_was_fitted(tmp_path: Path, laggi
     assert isinstance(response, FirstOrderResponse)
     assert response.time_constant_up == pytest.approx(0.05, rel=0.01)
     assert response.time_constant_down == pytest.approx(0.03, rel=0.01)
-    assert target.read_text().count("\n") == SOURCE.read_text().count("\n")  # a note more, a key less
+    text, _, marks = target.read_text().partition("\n[known]\n")
+    assert text.count("\n") == SOURCE.read_text().count("\n")  # a note more, a key less
     write_fit(target, target, lagging, "again.csv")
-    text = target.read_text()
-    assert text.count("dyno fit") == 1 and "again.csv" in text
+    again, _, marks_again = target.read_text().partition("\n[known]\n")
+    assert again.count("`neuroflight dyno fit`") == 1 and "again.csv" in again
+    assert marks_again == marks.replace("bench.csv", "again.csv")
 
 
 def test_response_changes_back_when_torques_are_fitted_again(
