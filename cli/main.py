@@ -71,6 +71,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         print(_help(group), file=sys.stderr)
         sys.exit(2)
     name = f"{PROGRAM} {group}".strip()
+    if gone := tree.GONE.get(f"{group} {word}".strip()):
+        print(f"{name}: {word!r} is gone: {gone}", file=sys.stderr)
+        sys.exit(2)
     print(f"{name}: no command {word!r}{_meant(group, word)}; {name} --help lists them", file=sys.stderr)
     sys.exit(2)
 

@@ -1,10 +1,14 @@
-"""The question before data are lost for good."""
+"""Questions to whoever sits at the terminal."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from typing import TypeVar
 
 from neuroflight.toolchain.errors import NeuroflightError
+
+Answer = TypeVar("Answer")
 
 
 def confirm(given: bool, what: str, undone: str) -> None:
@@ -20,3 +24,21 @@ def confirm(given: bool, what: str, undone: str) -> None:
     typed = sys.stdin.readline().strip().lower()
     if typed not in ("y", "yes"):
         raise NeuroflightError(f"got {typed!r}, expected 'yes'; {undone}")
+
+
+def ask(question: str, read: Callable[[str], Answer], undone: str) -> Answer | None:
+    """Return what `read` makes of the answer; None: an empty line. An answer that it refuses is asked anew.
+
+    undone: what is so where no answer comes, for the NeuroflightError at the end of the input.
+    """
+    while True:
+        print(question, end=" ", file=sys.stderr, flush=True)
+        typed = sys.stdin.readline()
+        if not typed:
+            raise NeuroflightError(f"no answer, expected a line; {undone}")
+        if not typed.strip():
+            return None
+        try:
+            return read(typed.strip())
+        except NeuroflightError as error:
+            print(error, file=sys.stderr)

@@ -38,7 +38,7 @@ NOUNS = {
     "board": "a board that runs Neuroflight: flash it, watch it, set it up, turn its motors",
     "board policy": "the policy that the board flies: list, swap, go back",
     "board settings": "settings of the board: get, set, store, restore them",
-    "board motors": "motors on the bench, propellers off",
+    "board motors": "motors on the bench",
     "board target": "boards that images can be built for: list, import one",
     "board logs": "logs of flights that the board keeps",
     "log": "logs of flights as files: decode, draw, measure, replay them",
@@ -48,8 +48,20 @@ COMMANDS = {
         "figures of an aircraft and whether they can be true; exit status 1 if it cannot fly",
         "aircraft.check:Check",
     ),
+    "aircraft new": Leaf(
+        "an aircraft file from ten answers, each number marked as measured, typical or guessed",
+        "aircraft.new:New",
+    ),
     "aircraft import": Leaf(
         "an aircraft file from a model of another simulator, URDF or SDF", "aircraft.import_model:Import"
+    ),
+    "aircraft fit": Leaf(
+        "the twin of an aircraft from logs of ordinary flights, with what they cannot tell",
+        "aircraft.fit:FitAircraft",
+    ),
+    "aircraft sync": Leaf(
+        "what changed about an aircraft since its file, by the log of a flight, and the policy's margin",
+        "aircraft.sync:Sync",
     ),
     "aircraft noise": Leaf(
         "measure gyro and accelerometer noise in a log of an aircraft at rest", "aircraft.noise:MeasureNoise"
@@ -104,9 +116,6 @@ COMMANDS = {
         "run a policy on every machine, from torch to the Cortex-M7, and compare them", "policy.verify:Verify"
     ),
     "policy time": Leaf("count what a policy takes on the board: instructions, cycles", "policy.time:Time"),
-    "policy adapt": Leaf(
-        "refine a policy on what a flight told of the aircraft, and prove it", "policy.adapt:Adapt", "train"
-    ),
     "pid tune": Leaf(
         "find the gains of a PID, or Betaflight's settings, for an aircraft in its twin",
         "pid.tune:Tune",
@@ -197,6 +206,10 @@ COMMANDS = {
     "board motors direction": Leaf(
         "tell a motor's ESC by DShot which way it turns, and have it keep that", "board.motors:Direction"
     ),
+    "board motors check": Leaf(
+        "propellers on, held down: find out by the gyro what each motor does, and what mends it",
+        "board.motor_check:Check",
+    ),
     "board motors order": Leaf(
         "find out which output each motor is wired to, by turning them, and store it", "board.motors:Order"
     ),
@@ -261,7 +274,6 @@ ALIASES = {  # earlier command words, accepted for one release; options or name 
     "learning-curves": "policy curves",
     "sweep": "policy sweep",
     "tune-pid": "pid tune",
-    "adapt": "policy adapt",
     "evaluate": "compare --one --all",
     "robustness": "compare --suite robustness",
     "failure": "compare --suite failures",
@@ -293,6 +305,11 @@ ALIASES = {  # earlier command words, accepted for one release; options or name 
     "log fetch": "board logs fetch",
     "log erase": "board logs erase",
 }
+GONE = dict.fromkeys(  # earlier words without a command in their place, and what to do: for one release
+    ("adapt", "policy adapt"),
+    "aircraft sync LOG --aircraft FILE tells what changed, policy train --from RUN --aircraft FILE refines a "
+    "policy and proves it, then policy check and board policy swap",
+)
 LONGEST = 3  # words
 
 

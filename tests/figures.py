@@ -111,7 +111,7 @@ FIGURES: dict[str, Callable[[str], str]] = {
     **{f"{name} emx": theirs for name in NETWORKS},
     "timing": timing,
     "flight": flight,
-    **{f"trained {name}": trained for name in ("nf1", "hexa")},
+    **{f"trained {name}": trained for name in ("nf1", "hexa", "any")},
     "swap": swap,
     "reproduce": reproduced,
 }

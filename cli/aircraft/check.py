@@ -28,6 +28,7 @@ class Check(Request):
 
     def run(self) -> int:
         """Examine, draw and print. Returns 0, or 1 if one of the verdicts is an error."""
+        from neuroflight.cli.aircraft.marks import known_document, print_known
         from neuroflight.sim.aircraft.model import load_aircraft
         from neuroflight.sim.design.airworthiness import Level, examine
         from neuroflight.sim.design.drawing import save_drawing
@@ -37,9 +38,12 @@ class Check(Request):
         if self.plot is not None:
             save_drawing(self.plot, aircraft, figures)
         if self.json:
-            print_json(_document(aircraft, figures, verdicts))
+            print_json(_document(aircraft, figures, verdicts) | {"known": known_document(self.file)})
         else:
             _print(aircraft, figures, verdicts, self.plot)
+            if aircraft.known:
+                print()
+                print_known(self.file)
         return int(any(verdict.level is Level.ERROR for verdict in verdicts))
 
 

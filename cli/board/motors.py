@@ -113,7 +113,7 @@ class Test(Turning):
             told, wrong, turned = Account(self.json), [], []
             for motor, place in enumerate(places):
                 told.say(f"motor {motor + 1}: {place}")
-                if not self.no_questions and _heard(person, "  Enter turns it, s skips it: ") == "s":
+                if not self.no_questions and heard(person, "  Enter turns it, s skips it: ") == "s":
                     continue
                 _spin(client, [motor], bench, self, person)
                 turned.append(motor + 1)
@@ -261,12 +261,10 @@ class Order(Turning):
 def _turned(client: Client, motor: int, bench: Bench, args: Turning, person: Person) -> int:
     """Return the index of the motor that turned when `motor` was to."""
     output = bench.outputs[motor]
-    _heard(person, f"output {output}: Enter turns what is wired to it: ")
+    heard(person, f"output {output}: Enter turns what is wired to it: ")
     while True:
         _spin(client, [motor], bench, args, person)
-        answer = _heard(
-            person, f"  which motor turned? 1 to {bench.motor_count}, or Enter to turn it again: "
-        )
+        answer = heard(person, f"  which motor turned? 1 to {bench.motor_count}, or Enter to turn it again: ")
         if answer.isdecimal() and 1 <= int(answer) <= bench.motor_count:
             return int(answer) - 1
         if answer:
@@ -318,7 +316,7 @@ def _motors(text: str, count: int) -> list[int]:
     return [int(text) - 1]
 
 
-def _heard(person: Person, question: str) -> str:
+def heard(person: Person, question: str) -> str:
     """Return the answer in small letters. Raises LinkError at the end of input."""
     line = person.ask(question)
     if not line:
@@ -328,6 +326,6 @@ def _heard(person: Person, question: str) -> str:
 
 def _yes(person: Person, question: str) -> bool:
     while True:
-        answer = _heard(person, question)
+        answer = heard(person, question)
         if answer in ("yes", "y", "no", "n"):
             return answer.startswith("y")

@@ -149,6 +149,11 @@ def candidate_of(path: Path) -> Candidate:
 
     try:
         policy = read_policy(path)
+        if policy.general:
+            raise PolicyError(
+                f"{path} is a policy for any quadcopter: make your own of it with `neuroflight policy import "
+                f"{path} --aircraft FILE --out POLICY.onnx`"
+            )
         blob = compile_policy(policy).blob
         pack(blob)  # raises PolicyError for a network that a blob cannot hold
     except PolicyError as error:

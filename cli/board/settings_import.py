@@ -14,9 +14,9 @@ from neuroflight.cli.report import Account, print_table
 from neuroflight.cli.requests import Argument, Option
 
 if TYPE_CHECKING:
-    from neuroflight.flash.betaflight.board_turn import Turn
     from neuroflight.flash.betaflight.diff_file import Diff
     from neuroflight.flash.betaflight.plan import ImportPlan
+    from neuroflight.flash.board.turn import Turn
     from neuroflight.flash.settings.text import Value
 
 

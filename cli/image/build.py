@@ -52,7 +52,8 @@ class Build(Request):
         Path | None,
         Option(
             "POLICY.onnx",
-            f"default: the shipped policy of the aircraft, without --aircraft of the {DEFAULT_AIRCRAFT}",
+            f"default: the shipped policy of the aircraft, without --aircraft of the {DEFAULT_AIRCRAFT}, "
+            "or `any`, the one for every quadcopter",
         ),
     ] = None
     aircraft: Annotated[
@@ -87,6 +88,8 @@ class Build(Request):
         from rich.console import Console
 
         from neuroflight.cli.output import check_folder
+        from neuroflight.sim.aircraft.model import load_aircraft
+        from neuroflight.sim.control.any_policy import ANY, own_file, policy_path
         from neuroflight.sim.control.pid_table import beside
         from neuroflight.toolchain.boards.gyro_file import read_gyro_file
         from neuroflight.toolchain.errors import PolicyError
@@ -108,14 +111,27 @@ class Build(Request):
         asked = self._as_last(last) if self.again else self
         if self.again and receiver is None and last is not None:
             receiver = last.receiver
-        path = asked._policy(last)
+        path = policy_path(asked._policy(last))
         if not path.exists():
             of = f" --aircraft {asked.aircraft}" if asked.aircraft else ""
             raise PolicyError(
                 f"policy {path}: no such file; `neuroflight policy train{of} --out {path.parent}` makes one, "
                 "or name another with --policy"
             )
+        general, path = path, own_file(path, load_aircraft(asked.aircraft or DEFAULT_AIRCRAFT))
+        if asked.policy is None and path != general:
+            print(
+                f"aircraft {asked.aircraft} has no policy of its own: building in `{ANY}`, made for it; "
+                f"`neuroflight policy train --aircraft {asked.aircraft} --out DIR` makes its own",
+                file=sys.stderr,
+            )
         policy = read_policy(path)
+        if policy.specialized:
+            print(
+                f"{policy.aircraft}: the image arms only once `neuroflight board motors check` was passed on "
+                "its board, or with the setting motor_check=off",
+                file=sys.stderr,
+            )
         stands = beside(policy, str(path), asked.aircraft, other=asked.other_aircraft, no_pid=asked.no_pid)
         stamp = checked(path, policy, target, stands, unchecked=self.unchecked)
         try:
@@ -164,16 +180,13 @@ class Build(Request):
 
     def _policy(self, last: Built | None) -> Path:
         """Return the policy to build in; say so where it is the default and was another until now."""
-        from neuroflight.toolchain.errors import PolicyError
+        from neuroflight.sim.control.any_policy import SHIPPED
 
         if self.policy is not None:
             return self.policy
         path = default_policy(self.aircraft or DEFAULT_AIRCRAFT)
         if not path.is_file():
-            raise PolicyError(
-                f"no policy ships for aircraft {self.aircraft}: name one with --policy; `neuroflight policy "
-                f"train --aircraft {self.aircraft} --out DIR` makes one"
-            )
+            return SHIPPED
         if last is not None and Path(last.policy_file).resolve() != path:
             print(
                 f"no policy is named: building the shipped one of {path.parent.name}, until now "

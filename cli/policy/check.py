@@ -36,26 +36,28 @@ class Check(Request):
         from neuroflight.cli.compare.controllers import say_foreign
         from neuroflight.cli.output import check_output
         from neuroflight.sim.aircraft.model import load_aircraft
+        from neuroflight.sim.control.any_policy import own_file
         from neuroflight.toolchain.policy.check_stamp import stamp_path, write_stamp
         from neuroflight.training.evaluation.controllers import load_controller
         from neuroflight.training.fitness.check import check
         from neuroflight.training.fitness.references import References
 
         aircraft = load_aircraft(self.aircraft)
-        say_foreign([load_controller(str(self.policy), aircraft)])
+        policy = own_file(self.policy, aircraft)
+        say_foreign([load_controller(str(policy), aircraft)])
         if not self.no_stamp:
-            check_output(stamp_path(self.policy), ".json")
+            check_output(stamp_path(policy), ".json")
         betaflight, missing = find_betaflight(aircraft, self.build, build=True)
         with ExitStack() as ends:
             references = ends.enter_context(References(aircraft, self.aircraft, betaflight, missing))
             bar = ends.enter_context(progress_bars())
-            verdict = check(self.policy, aircraft, references, bar(f"checking {self.policy.name}"))
+            verdict = check(policy, aircraft, references, bar(f"checking {policy.name}"))
         if not self.no_stamp:
-            write_stamp(self.policy, verdict.document())
+            write_stamp(policy, verdict.document())
         if self.json:
             print_json(verdict.document() | {"cases": verdict.cases()})
         else:
-            print_verdict(verdict, self.policy)
+            print_verdict(verdict, policy)
         return int(not verdict.fit)
 
 

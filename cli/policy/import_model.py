@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 ABOUT = (
     "A checkpoint of `neuroflight policy train` knows its observation, rate and aircraft. A model of another "
-    "trainer (ONNX, raw observation in, motor fractions out) is told them here."
+    "trainer (ONNX, raw observation in, motor fractions out) is told them here. Of the policy for any "
+    "quadcopter, `any`, it makes the one of --aircraft."
 )
 
 
@@ -36,7 +37,7 @@ RESTING = 0.2  # motor fraction; a policy that leaves the thrust to the pilot re
 class Import(Request):
     """A request for policy.onnx from a checkpoint or another trainer's model."""
 
-    source: Annotated[Path, Argument("CHECKPOINT|MODEL.onnx", "checkpoint.pt of a training, or any ONNX")]
+    source: Annotated[Path, Argument("CHECKPOINT|MODEL.onnx", "checkpoint.pt of a training, an ONNX, or any")]
     out: Annotated[Path, Option("POLICY.onnx", "the policy", suffix=".onnx")]
     observation: Annotated[str | None, Option("BLOCKS", "what the model observes, e.g. rate,throttle")] = None
     rate: Annotated[int | None, Option("HZ", "control rate it was trained at")] = None
@@ -100,7 +101,9 @@ class Import(Request):
         from neuroflight.toolchain.policy.model import read_policy
 
         changes: Sequence[str] = ()
-        if is_checkpoint(self.source):
+        if self._specialized():
+            policy = read_policy(self.out)
+        elif is_checkpoint(self.source):
             _reject_claims(self)
             freeze(self.source, self.out, fold=not self.unfolded)
             policy = read_policy(self.out)
@@ -138,6 +141,25 @@ class Import(Request):
         )
         print(_rest_words(policy, _at_rest(policy)))
         return 0
+
+    def _specialized(self) -> bool:
+        """Write the policy of --aircraft, if the source is a policy for any."""
+        from neuroflight.sim.aircraft.model import load_aircraft
+        from neuroflight.sim.control.any_policy import own_policy, policy_path
+        from neuroflight.toolchain.errors import PolicyError
+        from neuroflight.toolchain.files import write_bytes
+        from neuroflight.toolchain.policy.import_onnx import is_checkpoint
+        from neuroflight.toolchain.policy.specialize import is_general
+
+        source = policy_path(self.source)
+        if is_checkpoint(source) or not is_general(source):
+            return False
+        if self.aircraft is None:
+            raise PolicyError(f"{source} is a policy for any quadcopter: name yours with --aircraft")
+        if given := self.given(*(name for name in CLAIMS if name != "aircraft")):
+            raise PolicyError(f"{source} knows its observation and its like; leave out {', '.join(given)}")
+        write_bytes(self.out, own_policy(source, load_aircraft(self.aircraft)))
+        return True
 
 
 def _at_rest(policy: PolicyModel) -> list[float]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from neuroflight.cli import options
 from neuroflight.cli.options import Json
 from neuroflight.cli.plugins import WithPlugins
+from neuroflight.cli.policy.proof import PROOF, end_proof, prove_better
 from neuroflight.cli.progress import progress_bars
 from neuroflight.cli.report import print_json
 from neuroflight.cli.requests import Either, Option
@@ -21,14 +22,16 @@ if TYPE_CHECKING:
     from neuroflight.training.fitness.ending import Ending
     from neuroflight.training.fitness.references import References
     from neuroflight.training.runs.seeds import Planned
-    from neuroflight.training.runs.train import Callback, Progress
+    from neuroflight.training.runs.train import Callback, Progress, Start
 
 DEFAULT_RECIPE = "nf1"  # of every aircraft that has none of its own
 PLOT, BOARD = "monitor.png", "tensorboard"
 KEPT = Either()
 ABOUT = (
     f"Without --config: the recipe named like a shipped aircraft, for all others {DEFAULT_RECIPE}; with "
-    "--algorithm alone, the recipe named like the algorithm, such as ppo, the dissertation's."
+    "--algorithm alone, the recipe named like the algorithm, such as ppo, the dissertation's. With --from: "
+    "the configuration of that run with a lower learning rate, and a proof at the end that the policy is "
+    "better than the one before on this aircraft; else policy.onnx is not kept."
 )
 
 
@@ -41,7 +44,18 @@ class Train(WithPlugins):
         str | None, Option("RECIPE|FILE", "shipped recipe, a .toml, or the training.json of another run")
     ] = None
     algorithm: Annotated[str | None, Option("NAME", "such as ppo")] = None
-    steps: Annotated[int | None, Option("N", "control steps, all aircraft together")] = None
+    source: Annotated[
+        str | None,
+        Option(
+            "RUN|NAME",
+            "begin with the policy of that run's folder, or a shipped one; the result has its architecture, "
+            "as `board policy swap` needs",
+            name="--from",
+        ),
+    ] = None
+    steps: Annotated[
+        int | None, Option("N", "control steps, all aircraft together; with --from 20 million, a minute")
+    ] = None
     seed: Annotated[int | None, Option("S", "of the run")] = None
     seeds: Annotated[
         int, Option("N", "train N seeds from S on and keep the best; default: 1", usual=True)
@@ -66,14 +80,22 @@ class Train(WithPlugins):
 
         self.load_named()
         aircraft = load_aircraft(self.aircraft)
-        config = configuration(self, aircraft)
+        start = None
+        if self.source is not None:
+            from neuroflight.training.runs.warm import load_start
+
+            self.refuse("config", "algorithm", because="--from takes the configuration of its run; use --set")
+            start = load_start(self.source)
+        config = configuration(self, aircraft, start)
         _check_folder(self.out)
         with ExitStack() as claims:
             claims.enter_context(claimed(self.out, "training"))
-            return _train_all(self, aircraft, config, claims)
+            return _train_all(self, aircraft, config, start, claims)
 
 
-def _train_all(args: Train, aircraft: Aircraft, config: TrainingConfig, claims: ExitStack) -> int:
+def _train_all(
+    args: Train, aircraft: Aircraft, config: TrainingConfig, start: Start | None, claims: ExitStack
+) -> int:
     """Train every seed in --out, which this process has claimed. claims: gets the folders of the seeds."""
     from neuroflight.toolchain.files import claimed
     from neuroflight.toolchain.policy.check_stamp import write_stamp
@@ -85,12 +107,12 @@ def _train_all(args: Train, aircraft: Aircraft, config: TrainingConfig, claims: 
         if item.out != args.out:
             claims.enter_context(claimed(item.out, "training"))
     if args.force:
-        _remove_events(planned)
+        _remove_earlier(args.out, planned)
     best = planned[0].config.seed
     ending: Ending | None = None
     with _Fitness(aircraft, args.aircraft, config) as fitness:
         try:
-            ends = {item.config.seed: _train(args, aircraft, item) for item in planned}
+            ends = {item.config.seed: _train(args, aircraft, item, start) for item in planned}
             chosen = {seed: end.chosen for seed, end in ends.items() if end.chosen}
             best = best_seed(chosen, config.selection)
             ending = fitness.choose(planned)
@@ -104,13 +126,17 @@ def _train_all(args: Train, aircraft: Aircraft, config: TrainingConfig, claims: 
         ends[best] = replace(ends[best], chosen=ending.chosen)
         write_stamp(args.out / "policy.onnx", ending.verdict.document())
     _draw(args.out, aircraft, planned, best)
+    proof = None if start is None else prove_better(args, aircraft, start)
     if args.json:
         record = read_record(args.out)
         told = None if ending is None else ending.document()
-        print_json({"out": str(args.out), **record, "check": told})
+        proven = {} if proof is None else {"proof": proof.document()}
+        print_json({"out": str(args.out), **record, "check": told, **proven})
     else:
         _print(args, planned, ends, best)
         fitness.tell(args, ending)
+    if proof is not None and start is not None:
+        end_proof(args, proof, start)
     return int(config.selection.fit and (ending is None or not ending.verdict.fit))
 
 
@@ -179,14 +205,17 @@ class _Fitness:
         print_end(ending.verdict, policy)
 
 
-def configuration(args: Train, aircraft: Aircraft) -> TrainingConfig:
-    """Return the configuration of the arguments. Raises TrainingError if it is invalid."""
+def configuration(args: Train, aircraft: Aircraft, start: Start | None = None) -> TrainingConfig:
+    """Return the configuration of the arguments; start: of --from. Raises TrainingError if it is invalid."""
     from neuroflight.training.config.config_file import load_config
+    from neuroflight.training.runs.warm import warm_config
 
     overrides = [*args.set]
     for key in ("algorithm", "steps", "seed"):
         if (value := getattr(args, key)) is not None:
             overrides.append(f"{key}={value}")
+    if start is not None:
+        return warm_config(start, aircraft, overrides)
     return load_config(_source(args, aircraft), overrides)
 
 
@@ -210,14 +239,15 @@ def _check_folder(out: Path) -> None:
     check_output(out / "training.json", ".json")
 
 
-def _remove_events(planned: tuple[Planned, ...]) -> None:
-    """Remove event files of the replaced run: TensorBoard would draw both runs as one."""
+def _remove_earlier(out: Path, planned: tuple[Planned, ...]) -> None:
+    """Remove the proof of the replaced run, and its event files: TensorBoard would draw both runs as one."""
+    (out / PROOF).unlink(missing_ok=True)
     for item in planned:
         for path in (item.out / BOARD).glob("events.out.tfevents.*"):
             path.unlink()
 
 
-def _train(args: Train, aircraft: Aircraft, item: Planned) -> Progress:
+def _train(args: Train, aircraft: Aircraft, item: Planned, start: Start | None) -> Progress:
     from neuroflight.cli.policy.train_display import Display
     from neuroflight.training.checkpoints.monitor_process import Monitor
     from neuroflight.training.runs.train import Callbacks, train
@@ -245,6 +275,7 @@ def _train(args: Train, aircraft: Aircraft, item: Planned) -> Progress:
                 resume=item.done is not None,
                 monitor=monitor,
                 command=replace(args, seed=config.seed, seeds=1).command,
+                start=start,
             )
         except KeyboardInterrupt:
             _print_saved_steps(item, before)

@@ -2,7 +2,11 @@
 
 #include <string.h>
 
+#include "common/crc32.h"
+#include "common/limit.h"
+#include "common/nf_math.h"
 #include "common/printer.h"
+#include "policy.h"
 
 #define ALERT_RATE_HZ 50
 #define STORAGE_RATE_HZ 10
@@ -19,6 +23,38 @@
 #define TUNED_PID_BYTES (9u * sizeof(uint32_t))
 _Static_assert(SETTING_AT_interpolation - SETTING_AT_rates_style == 12, "style, three numbers an axis, two dead bands");
 _Static_assert(SETTING_AT_battery_cells - SETTING_AT_pid_roll_p == 9, "three factors an axis");
+
+/* The settings that say how gyro and motors are built in. Each group is contiguous. */
+#define GYRO_BUILT_BYTES (5u * sizeof(uint32_t))
+#define MOTORS_BUILT_BYTES ((NF_MOTOR_COUNT_MAX + 1u) * sizeof(uint32_t))
+_Static_assert(SETTING_AT_gyro_stuck_ms - SETTING_AT_gyro_select == 5, "the chip, its turn, the board's three");
+_Static_assert(SETTING_AT_motor_check - SETTING_AT_motor1_output == NF_MOTOR_COUNT_MAX + 1, "outputs, direction");
+
+/* The number of what a check of the motors holds for: this board, its aircraft's name, and how gyro and motors are set. */
+static uint32_t background_motor_key(const struct background *background)
+{
+	const struct nf_settings *settings = &background->settings;
+	struct nf_policy_blob_header policy = { 0 };
+
+	(void)policy_slots_header(&background->slots, &policy);
+	uint32_t crc = crc32_more(0, background->config.board.identity.unique_id, 3u * sizeof(uint32_t));
+	crc = crc32_more(crc, policy.aircraft, sizeof policy.aircraft);
+	crc = crc32_more(crc, &settings->gyro_select, GYRO_BUILT_BYTES);
+	crc = crc32_more(crc, &settings->motor1_output, MOTORS_BUILT_BYTES);
+	return (crc & NF_MOTOR_KEY_MAX) | 1u; /* 0: never checked */
+}
+
+/* Forbids arming where a check of the motors is asked for: by the policy, or as one was passed before. The pilot may do
+ * without at once, or for this start alone (--set). */
+static void background_judge_motors(const struct background *background)
+{
+	const struct nf_settings *edited = &background->edited;
+	const bool asks = edited->motor_check != 0 && background->settings.motor_check != 0 &&
+			  (edited->motors_checked != 0 || POLICY_MOTOR_CHECK != 0);
+
+	firmware_forbid(background->config.firmware, NF_ARMING_REASON_MOTORS_UNCHECKED,
+			asks && edited->motors_checked != background->motor_key);
+}
 
 /* Takes over the edited settings if they were edited since the last call. (Until the first edit the settings of the
  * start are flown, which `--set` may have changed.) While the motors turn or a log is written, whose header contains
@@ -90,6 +126,18 @@ static unsigned background_bad_motor(const struct background *background, const 
 	return bad ? 1u + (unsigned)__builtin_ctz(bad) : 0u;
 }
 
+/* Propellers that are on turn an aircraft that nobody holds: then a motor test ends. */
+static void background_watch_test(const struct background *background, const struct firmware_status *status)
+{
+	struct motor_test *test = &background->config.firmware->motor_test;
+	bool turns = false;
+
+	for (int i = 0; i < 3; ++i)
+		turns |= !(magnitude(status->trace.gyro[i]) < NF_MOTOR_TEST_TURN_DEG_S * NF_RAD_PER_DEG);
+	if (turns && motor_test_open(test))
+		(void)motor_test_ask(test, 0, true);
+}
+
 /* Returns the active alerts, one bit each. */
 static uint32_t background_alerts(const struct background *background, const struct firmware_status *status,
 				  uint32_t ms)
@@ -123,6 +171,7 @@ static void background_run_alert(void *context)
 	struct firmware_status status;
 
 	firmware_status(fw, &status);
+	background_watch_test(background, &status);
 	background->heard |= status.receiver_good;
 	if (!background->refused)
 		background->refused_since_ms = ms;
@@ -294,6 +343,7 @@ static void background_run_storage(void *context)
 	background_watch_load(background);
 	background_try_image(background);
 	background_ask_escs(background);
+	background_judge_motors(background);
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 }
 
@@ -324,6 +374,8 @@ enum nf_err background_start(struct background *background, const struct backgro
 	fault_log_boot(&background->faults, &background->config.board.hal->flash, config->fault);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 	background_judge_board(background);
+	background->motor_key = background_motor_key(background);
+	background_judge_motors(background);
 	image_probation_init(&background->probation, &background->config.board.hal->flash, config->board.bank);
 	background_judge_image(background);
 	battery_init(&background->battery, &background->settings, &background->config.board.identity);
@@ -388,6 +440,7 @@ void background_status(const struct background *background, struct firmware_stat
 	status->sag_v = battery->rest_volts - battery->volts;
 	status->cells = (uint8_t)battery->cells;
 	status->battery_level = (uint8_t)battery->level;
+	status->motor_key = background->motor_key;
 	status->gyro_identity = background->config.board.gyro_identity;
 	status->gyro_chip = background_gyro_chip(&background->config.board);
 	status->brown_out = background->config.board.brown_out;

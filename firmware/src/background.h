@@ -56,6 +56,7 @@ struct background {
 	struct services services;
 	struct nf_settings settings; /* as flown: of this boot */
 	struct nf_settings edited; /* as stored, with changes that may not be saved yet */
+	uint32_t motor_key; /* of this boot */
 	struct nf_settings tuned; /* of those flown at once: as edited when background_tune last took them */
 	struct blackbox blackbox;
 	struct log_snapshot snapshot; /* of the firmware, before a log */

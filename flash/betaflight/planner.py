@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from neuroflight.flash.betaflight.board_turn import BOARD_AXES, BOARD_TURN, NOT_TURNED, Turn, pilots_turn
+from neuroflight.flash.betaflight.board_turn import BOARD_TURN, NOT_TURNED, pilots_turn
 from neuroflight.flash.betaflight.counterparts import (
     BEEPERS,
     COMMANDS,
@@ -23,6 +23,7 @@ from neuroflight.flash.betaflight.mode_ranges import HIGH_US, PREARM, box_name, 
 from neuroflight.flash.betaflight.motor_order import MOTORS, motor_outputs, read_pin
 from neuroflight.flash.betaflight.plan import Group, ImportPlan, Left
 from neuroflight.flash.betaflight.rate_profiles import RateProfiles
+from neuroflight.flash.board.turn import BOARD_AXES, Turn
 from neuroflight.flash.settings.text import STYLE, Value, known_setting
 from neuroflight.toolchain.contract import MODE_LOW_US, Mode, ModeRange
 

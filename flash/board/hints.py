@@ -27,6 +27,7 @@ HINTS = {  # by the names of contract.ArmingReason
     "CLI": "a command line is open: leave it with `exit`",
     "PROBATION": "a new image is tried: wait 2 s, with a gyro that works",
     "SETTINGS": "this version does not take some stored setting: look them over, save, start anew",
+    "MOTORS_UNCHECKED": "tie it down, `neuroflight board motors check`; or set motor_check=off",
     "IMAGE_BAD": "flash does not hold the image whole: flash it again",
 }
 FAULTS = {  # by the names of contract.FaultKind

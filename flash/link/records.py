@@ -44,6 +44,7 @@ class Safety:
     brown_out_level: int | None  # of the supply's detector, 0: it is off; None: the firmware tells none
     airborne: bool | None  # it has taken off since it was armed; None: the firmware does not tell
     gyro: GyroChip | None  # its chip; None: none that the firmware knows
+    motor_key: int | None = None  # that motors_checked is once motors and gyro were checked; None: not told
 
     @property
     def gyro_chip(self) -> str:
@@ -122,6 +123,7 @@ def safety(payload: bytes) -> Safety:
         brown_out_level=later - 1 if later else None,
         airborne=bool(told["airborne"]) if "airborne" in told else None,
         gyro=_gyro(told),
+        motor_key=told.get("motor_key"),
     )
 
 

@@ -95,17 +95,18 @@ class Stream:
         reply = self._client.request(Msp.STREAM, struct.pack("<H", self.rate_hz))
         (self.rate_hz,) = Reader(Msp.STREAM, reply).fields("H")
 
-    def payloads(self, seconds: float | None = None) -> Iterator[bytes]:
+    def payloads(self, seconds: float | None = None, silence_s: float | None = None) -> Iterator[bytes]:
         """Yield the payload of each sample for `seconds` of the firmware's time; None: until the caller
         stops.
 
-        Raises LinkError when none comes for SILENCE_S.
+        Raises LinkError when none comes for `silence_s`, SILENCE_S unless given.
         """
+        silent = SILENCE_S if silence_s is None else silence_s
         while seconds is None or self.flown_s < seconds:
-            payload = self._client.receive(Msp.STREAM_SAMPLE, SILENCE_S)
+            payload = self._client.receive(Msp.STREAM_SAMPLE, silent)
             if payload is None:
                 raise LinkError(
-                    f"{self._client.name}: no sample came for {SILENCE_S:g} s, expected "
+                    f"{self._client.name}: no sample came for {silent:g} s, expected "
                     f"{self.rate_hz} a second; check that the firmware gets gyro samples (a host program "
                     "gets them from a simulator) and that nobody restarted it"
                 )

@@ -8,9 +8,10 @@ not change what the twin flies.
 
 from __future__ import annotations
 
+import copy
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -106,12 +107,30 @@ def keys_of(document: Mapping[str, Any]) -> list[str]:
 
 def mark_of(known: Mapping[str, Known], key: str) -> Known | None:
     """Return the mark of a number: its own, or that of the nearest table around it; None: it has none."""
-    at = key
-    while at:
-        if at in known:
-            return known[at]
-        at = at.removesuffix("]").rpartition("[")[0] if at.endswith("]") else at.rpartition(".")[0]
-    return None
+    return known.get(_nearest(known, key))
+
+
+def numbers_of(document: Mapping[str, Any], known: Mapping[str, Known], key: str) -> list[str]:
+    """List the keys of the numbers that a mark counts for: its own, or of a table those without their own."""
+    inside = [each for each in keys_of(document) if each.startswith(f"{key}.")]
+    return [each for each in inside if _nearest(known, each) == key] if inside else [key]
+
+
+def scaled(document: Mapping[str, Any], keys: Collection[str], factor: float) -> dict[str, Any]:
+    """Return a copy of a file whose numbers that these keys name are `factor` times as large."""
+    changed = copy.deepcopy(dict(document))
+    for key in keys:
+        match = _KEY.fullmatch(key)
+        each = match[1] if match else key
+        head, _, last = each.rpartition(".")
+        for table in _tables(changed, head):
+            value = table.get(last)
+            if isinstance(value, list):
+                chosen = range(len(value)) if match is None or match[2] is None else [int(match[2])]
+                table[last] = [item * factor if at in chosen else item for at, item in enumerate(value)]
+            elif isinstance(value, int | float):
+                table[last] = value * factor
+    return changed
 
 
 def known_line(key: str, mark: Known) -> str:
@@ -124,7 +143,15 @@ def known_line(key: str, mark: Known) -> str:
     return f"{json.dumps(key, ensure_ascii=False)} = {{ {', '.join(parts)} }}"
 
 
-def _tables(document: Mapping[str, Any], path: str) -> list[Mapping[str, Any]]:
+def _nearest(known: Mapping[str, Known], key: str) -> str:
+    """Return the key of the mark that counts for a number; "": none does."""
+    at = key
+    while at and at not in known:
+        at = at.removesuffix("]").rpartition("[")[0] if at.endswith("]") else at.rpartition(".")[0]
+    return at
+
+
+def _tables(document: Mapping[str, Any], path: str) -> list[dict[str, Any]]:
     """Return the tables that the part of a key before its last dot names: several for the rotors."""
     if path in _UNMARKED or path.startswith("pid."):
         return []

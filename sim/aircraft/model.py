@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -182,7 +182,7 @@ class Aircraft:
     name: str
     description: str
     sha256: str  # of what the twin flies: without name, description, comments and PIDs
-    file_sha256: str  # of the file's bytes and its meshes', as in old policies; with props out: none
+    file_sha256: str  # of the file's bytes and its meshes', as in old policies; "": not of a file as it is
     parts: tuple[Part, ...]
     rotors: tuple[Rotor, ...]
     propulsion: Propulsion
@@ -249,8 +249,13 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: 
     out, all turning the other way than in the file.
     """
     document = over_base(parse_toml(data, f"aircraft file {where}", AircraftError), where)
-    if out:
-        document = props_out(document)
+    meshes = Meshes(folder)
+    aircraft = aircraft_of(props_out(document) if out else document, where, meshes)
+    return aircraft if out else replace(aircraft, file_sha256=file_sha256(data, meshes.contents()))
+
+
+def aircraft_of(document: dict[str, Any], where: str, meshes: Meshes) -> Aircraft:
+    """Return the aircraft of a parsed file, laid over its base. Raises AircraftError as parse_aircraft."""
     root = StrictTable(document, f"aircraft file {where}", AircraftError)
     root.integer("format", 1, 1)
     name = root.text("name")
@@ -258,7 +263,6 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: 
         raise root.error("name", f"got {name!r}, expected at most 32 letters, digits, dots and dashes")
     description = root.text("description", "")
     centre_of_thrust = root.vector("centre_of_thrust_m", -10, 10)
-    meshes = Meshes(folder)
     parts = read_parts(root, meshes)
     rotors, mounted = read_rotors(root, meshes)
     propulsion = root.part("propulsion", _propulsion)
@@ -280,7 +284,7 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None, *, out: 
         name=name,
         description=description,
         sha256=flown_sha256(document, meshes.read),
-        file_sha256="" if out else file_sha256(data, meshes.contents()),
+        file_sha256="",
         parts=tuple(parts),
         rotors=rotors,
         propulsion=propulsion,

@@ -8,12 +8,15 @@ speed are never assumed.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from neuroflight.sim.aircraft.edit import with_known
+from neuroflight.sim.aircraft.known import SOURCE_MAX, How, Known, is_named
 from neuroflight.sim.aircraft.model import Aircraft, load_aircraft, parse_aircraft
 from neuroflight.sim.aircraft.robot import VERTICAL, Drive, Robot, read_xml
 from neuroflight.sim.aircraft.robot_parts import hub_of
@@ -65,12 +68,29 @@ def import_aircraft(
     other = None if like is None else load_aircraft(like)
     writer = Writer(robot, drives, where, other, like)
     text = writer.text(name or _name(robot.name), path.name)
+    if guessed := _guessed(text, writer.assumed):
+        text = with_known(text, guessed)
     try:
         aircraft = parse_aircraft(text.encode(), where)
     except AircraftError as error:
         raise AircraftError(f"{error} (of the aircraft that {path.name} makes)") from error
     held = [f"joint {joint} moves in the model; here it is fixed at its zero" for joint in robot.held]
     return Imported(text, aircraft, tuple(writer.assumed), (*held, *writer.notes))
+
+
+def _guessed(text: str, assumed: Sequence[str]) -> dict[str, Known]:
+    """Return the marks of what is assumed: "KEY: reason" or "[TABLE]: reason", as the writer says it."""
+    document = tomllib.loads(text)
+    marks: dict[str, Known] = {}
+    for line in assumed:
+        key, _, reason = line.partition(": ")
+        places = (key.strip("[]"), f"propulsion.{key}", f"propulsion.response.{key}")
+        marks |= {
+            place: Known(How.GUESSED, None, reason[:SOURCE_MAX])
+            for place in places
+            if is_named(document, place)
+        }
+    return marks
 
 
 def _turning(robot: Robot, spins: Sequence[str] | None, where: str) -> list[Drive]:

@@ -44,7 +44,7 @@ def model_constants(aircraft: Aircraft, control_rate_hz: int) -> ModelConstants:
         )
     limited = isinstance(propulsion.response, TorqueResponse)
     first, second, third = response_rows(propulsion, dt, np.ones(1))[0].tolist()
-    speed = _hover_speed(aircraft)
+    speed = hover_speed(aircraft)
     thrust = float(coefficient(propulsion.thrust_coefficient, speed))
     torque = thrust * float(coefficient(propulsion.torque_ratio, speed))
     geometry, inverse = rotor_geometry(aircraft), np.linalg.inv(aircraft.mass_properties.inertia)
@@ -84,7 +84,7 @@ def observed_model(
         return None
 
 
-def _hover_speed(aircraft: Aircraft) -> float:
+def hover_speed(aircraft: Aircraft) -> float:
     """Compute the speed [rad/s] of each rotor in hover; full speed if the aircraft cannot hover."""
     propulsion = aircraft.propulsion
     speeds = np.asarray(target_speed(np.linspace(0.0, 1.0, 201), propulsion))

@@ -37,7 +37,7 @@ from neuroflight.sim.physics.rotor import (
 )
 from neuroflight.sim.physics.supply import Draw, Supply
 from neuroflight.sim.physics.variation import Variation
-from neuroflight.sim.physics.world import Mount, World
+from neuroflight.sim.physics.world import Held, Mount, World
 from neuroflight.toolchain.contract import GRAVITY
 
 CALM: Vector = (0.0, 0.0, 0.0)
@@ -99,6 +99,7 @@ class Twin:
         ground: bool = False,
         wash: bool = True,
         variation: Variation | None = None,
+        held: Held | None = None,
         rng: np.random.Generator,
     ) -> None:
         """Bring up `count` aircraft at rest.
@@ -109,7 +110,7 @@ class Twin:
         Dryden turbulence [m/s]. ground: the plane z = 0, free flight only. wash: free aircraft whose
         propellers have a diameter are shaken by their own wake while they sink into it. variation: how each
         aircraft differs from its file, the charge of its battery included; None: not at all, and `vary` is
-        refused.
+        refused. held: what turns an aircraft on the rig back to level; None: nothing.
         Raises AircraftError if the aircraft lacks what is asked for, ValueError on numbers out of range.
         """
         if variation is not None and len(variation) != count:
@@ -125,7 +126,7 @@ class Twin:
         # Specific force at rest, upwards [m/s^2]: of a rig in the Earth's field even if that does not pull.
         self._field = GRAVITY if mount is Mount.RIG or (self._gravity and mount is Mount.FREE) else 0.0
         self._supply = Supply(aircraft, count, rate_hz, charge)
-        self._world = World(aircraft, count, self._dt, mount, self._gravity, ground=ground)
+        self._world = World(aircraft, count, self._dt, mount, self._gravity, ground=ground, held=held)
         self._geometry = rotor_geometry(aircraft)
         speed_max = aircraft.propulsion.speed_max
         shape = (count, aircraft.motor_count)
@@ -280,7 +281,7 @@ class Twin:
             raise ValueError("this twin was made without a variation; give it one to begin with")
         self._variation = everyone = self._variation.changed(index, variation)
         self._response[:] = response_rows(self.aircraft.propulsion, self._dt, everyone.lag)
-        self._speed_factor[:] = everyone.speed[:, None] * np.sqrt(self._strength)
+        self._speed_factor[:] = everyone.speeds(self.aircraft.motor_count) * np.sqrt(self._strength)
         self._mass[:] = self.aircraft.mass_properties.mass * everyone.mass
         self._load_factor[:] = load_factors(everyone.thrust, everyone.torque)
         self._world.vary(index, variation.mass, variation.inertia)
@@ -300,8 +301,9 @@ class Twin:
         if shares.shape != (self.aircraft.motor_count,) or not ((shares >= 0.0) & (shares <= 1.0)).all():
             raise ValueError(f"got thrust shares {shares}, expected {self.aircraft.motor_count} of 0 to 1")
         self._strength[:] = shares
-        speed = np.ones(self.count) if self._variation is None else self._variation.speed
-        self._speed_factor[:] = speed[:, None] * np.sqrt(self._strength)
+        self._speed_factor[:] = np.sqrt(self._strength)
+        if self._variation is not None:
+            self._speed_factor *= self._variation.speeds(self.aircraft.motor_count)
 
     def load(self, aircraft: Aircraft) -> None:
         """Give all aircraft the mass, its centre and the inertia of `aircraft` from now on, in flight.

@@ -7,11 +7,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from neuroflight.sim.arrays import Array, Which
+from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
 
 
 @dataclass(frozen=True, eq=False)
 class Variation:
-    """One value an aircraft, (N,) each; factors of the file's value unless a unit is given.
+    """One value an aircraft, (N,) each but for `motors`; factors of the file's value
+    unless a unit is given.
 
     Raises ValueError on values that no aircraft can have.
     """
@@ -26,14 +28,19 @@ class Variation:
     delay_s: Array  # [s], command to rotor, rounded to whole samples, at least one
     charge: Array  # state of charge of the battery, 0..1; NaN: the bench supply
     vibration: Array  # [rad/s], what one rotor at full speed shakes the gyro's worst axis by; NaN: the file's
+    # (N, MOTOR_COUNT_MAX), of each rotor's thrust at the same command, by its speed; read as many
+    # as the aircraft has motors.
+    motors: Array
 
     def __post_init__(self) -> None:
         """Check shapes and ranges."""
         shape = self.mass.shape
         for field in fields(self):
             values: Array = getattr(self, field.name)
-            if values.shape != shape or values.ndim != 1:
-                raise ValueError(f"variation {field.name} has shape {values.shape}, expected (N,) as mass")
+            expected_shape = (*shape, MOTOR_COUNT_MAX) if field.name == "motors" else shape
+            if values.shape != expected_shape or len(shape) != 1:
+                wanted = f"(N, {MOTOR_COUNT_MAX})" if field.name == "motors" else "(N,) as mass"
+                raise ValueError(f"variation {field.name} has shape {values.shape}, expected {wanted}")
             if field.name == "vibration":
                 fits, expected = ~((values < 0.0) | np.isinf(values)), "0 or more, or NaN for the file's"
             elif field.name == "charge":
@@ -46,14 +53,21 @@ class Variation:
                 raise ValueError(f"variation {field.name} is {values[~fits][0]}, expected {expected}")
 
     @staticmethod
-    def nominal(count: int, delay_s: float) -> Variation:
-        """Return `count` aircraft as the file says, on the bench supply."""
+    def nominal(count: int, delay_s: float | Array) -> Variation:
+        """Return `count` aircraft as the file says, on the bench supply; delay_s: of all, or each (N,)."""
         one, own = np.ones(count), np.full(count, np.nan)
-        return Variation(one, one, one, one, one, one, one, np.full(count, delay_s), own, own)
+        motors = np.ones((count, MOTOR_COUNT_MAX))
+        return Variation(
+            one, one, one, one, one, one, one, np.broadcast_to(delay_s, count).copy(), own, own, motors
+        )
 
     def __len__(self) -> int:
         """Return N, the number of aircraft."""
         return len(self.mass)
+
+    def speeds(self, motors: int) -> Array:
+        """Return factors (N, M) of the speed that each of M rotors settles at."""
+        return self.speed[:, None] * np.sqrt(self.motors[:, :motors])
 
     def at(self, which: Which) -> Variation:
         """Return the rows of the aircraft of `which`."""

@@ -48,6 +48,14 @@ class Mount(Enum):
 
 
 @dataclass(frozen=True)
+class Held:
+    """A soft hold of an aircraft on the rig: a rope, a hand, foam. Alike about all axes."""
+
+    swing_hz: float  # that it swings at about each axis, undamped, with the file's inertia
+    damping: float  # ratio; 1: it swings no more
+
+
+@dataclass(frozen=True)
 class _Turning:
     """Constant maps of a step from momenta and moments to rates, of one aircraft for all or of N."""
 
@@ -77,7 +85,10 @@ class World:
         gravity: bool,
         *,
         ground: bool = False,
+        held: Held | None = None,
     ) -> None:
+        if held is not None and mount is not Mount.RIG:
+            raise ValueError(f"held, with mount {mount.value!r}: only on the rig")
         if not 1 <= count <= COUNT_MAX:
             raise ValueError(f"got {count} aircraft, expected 1 to {COUNT_MAX} in one world")
         if ground and mount is not Mount.FREE:
@@ -151,6 +162,10 @@ class World:
             push=push,
             moment=moment,
         )
+        if held is not None:
+            stiffness = np.diag(self._inertias[0] + self._inertias[1]) * (2 * np.pi * held.swing_hz) ** 2
+            damping = stiffness * held.damping / (np.pi * held.swing_hz)
+            assign(self.state, held=True, stiffness=stiffness.tolist(), damping=damping.tolist())
         self._maps(self._inertias[0] + self._inertias[1])
         self.reset(range(count))
 

@@ -231,16 +231,17 @@ FLIGHT_RATES = {
 
 
 def flight_settings(settings: Mapping[str, float] | None) -> dict[str, float]:
-    """Return settings of a simulated flight: the given ones, with defaults for rates, arming delay and
-    ground.
+    """Return settings of a simulated flight: the given ones, with defaults for rates, arming delay, ground
+    and what arming asks for.
 
-    Simulated ESCs play no start-up tune, which is what a board waits for. In another style than scenarios'
-    rates are those that are given, or the style's defaults. And unless it is given, nothing is below: the
-    aircraft is in the air when it is armed, as the training's are. With ground, give ground_detection=1.
+    The motors of a twin are where its file says: nobody has to check them first. Simulated ESCs play no
+    start-up tune, which is what a board waits for. In another style than scenarios' rates are those that are
+    given, or the style's defaults. And unless it is given, nothing is below: the aircraft is in the air when
+    it is armed, as the training's are. With ground, give ground_detection=1.
     """
     given = dict(settings or {})
     rates = {} if given.get("rates_style", 0) else FLIGHT_RATES
-    return {"arming_delay_ms": BOOT_GRACE_MS, "ground_detection": 0, **rates, **given}
+    return {"arming_delay_ms": BOOT_GRACE_MS, "ground_detection": 0, "motor_check": 0, **rates, **given}
 
 
 def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:

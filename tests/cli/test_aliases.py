@@ -72,6 +72,8 @@ def test_one_line_tells_the_new_words_where_all_went_well(tmp_path: Path, capsys
         ("decode a.bbl", "did you mean log decode?"),
         ("fly --sceanrio roll", "did you mean --scenario?"),
         ("fly --on hsot", "did you mean host?"),
+        ("adapt flight.npz", "'adapt' is gone: aircraft sync LOG"),
+        ("policy adapt flight.npz", "neuroflight policy: 'adapt' is gone: aircraft sync LOG"),
         ("", "usage: neuroflight COMMAND"),
         ("board settings", "usage: neuroflight board settings COMMAND"),
     ],

@@ -15,8 +15,10 @@ from neuroflight.cli.image import build as command
 from neuroflight.cli.main import main
 from neuroflight.sim.aircraft.model import FOLDER, load_aircraft
 from neuroflight.sim.control.pid_table import pid_table
+from neuroflight.toolchain.codegen.compiler import compile_policy
 from neuroflight.toolchain.errors import NeuroflightError
 from neuroflight.toolchain.image.report import AircraftFacts
+from neuroflight.toolchain.policy.model import read_policy
 from neuroflight.toolchain.rendering.pid_table import PidTable
 from tests.conftest import ROOT, build_beside
 
@@ -154,16 +156,13 @@ def test_propellers_out_are_another_aircraft_with_yaw_the_other_way(
     ("words", "message"),
     [
         (
-            ["--aircraft", "iris"],
-            "no policy ships for aircraft iris: name one with --policy; `neuroflight policy tr",
-        ),
-        (
             ["--policy", "none.onnx", "--aircraft", "own.toml"],
             "neuroflight policy train --aircraft own.toml --out .",
         ),
         (["--again", "--policy", "none.onnx"], "--again: got a policy or an aircraft beside it"),
         (["--again", "--no-pid"], "--again: got a policy or an aircraft beside it"),
-        (["--aircraft", "nf9"], "no policy ships for aircraft nf9"),
+        (["--aircraft", "nf9"], "aircraft 'nf9': no such file"),
+        (["--policy", "any", "--aircraft", "hexa"], "a general policy flies 4; train one of its own"),
         (["--policy", str(SHIPPED), "--aircraft", "nf9"], "aircraft 'nf9': no such file"),
         (["--policy", str(SHIPPED), "--aircraft", "hexa"], "--other-aircraft"),
     ],
@@ -172,6 +171,21 @@ def test_what_cannot_be_built_is_refused_in_one_line(
     words: list[str], message: str, refused: Callable[..., str]
 ) -> None:
     assert message in refused(*words)
+
+
+def test_an_aircraft_without_a_policy_is_flown_by_the_one_for_any(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: Callable[..., Asked]
+) -> None:
+    monkeypatch.setattr("neuroflight.sim.control.any_policy.FOLDER", tmp_path)
+    got, named = asked("--aircraft", "iris"), asked("--policy", "any", "--aircraft", "iris")
+    assert got.policy == named.policy and got.policy.is_relative_to(tmp_path)
+    assert got.aircraft is not None and got.aircraft.own and got.pid is not None
+    mine = read_policy(got.policy)
+    assert mine.aircraft == "iris" and not mine.general
+    own = asked("--policy", "any", "--aircraft", written(tmp_path / "own.toml", HEAVIER)).policy
+    assert own != got.policy
+    hashes = {compile_policy(read_policy(path)).plan.architecture_hash for path in (own, got.policy)}
+    assert len(hashes) == 1, "the one goes into the slot of the other's image"
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""docs/guides/own-aircraft.md, section 7: its commands on a 5-inch's file, to a flashed emulated board."""
+"""docs/guides/own-aircraft.md, section 3: its commands on a 5-inch's file, to a flashed emulated board."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ import pytest
 
 from neuroflight.cli.main import parse
 from neuroflight.sim.aircraft.model import parse_aircraft
+from neuroflight.sim.aircraft.typical import Answers, Propeller, typical
 from neuroflight.sim.design.airworthiness import Level, examine
 from tests.cli.test_first_board import clone as clone
 from tests.conftest import ROOT
 
 PORT = "/dev/ttyUSB0"
-HEADING = "7. From the file to the board"
+HEADING = "3. From the file to the board"
 LIMIT_S = 900.0  # of a command that hangs
 MINUTES_MAX = (
     10.0  # of the whole way, on an idle machine; asserted where TIMED is set, as CI shares its cores
@@ -52,37 +53,9 @@ def powered(chip: Path, *options: str) -> Iterator[str]:
 
 
 def five_inch() -> str:
-    """A plausible 5-inch as somebody would write it who has a scale and a ruler: no PID, no thrust stand."""
-    arm, height, lines = 0.079, 0.028, ["format = 1", 'name = "mine"', "centre_of_thrust_m = [0, 0, 0.028]"]
-    parts = {
-        "plates": (0.083, (0.0, 0.0, 0.018), (0.16, 0.042, 0.036)),
-        "arms": (0.094, (0.0, 0.0, 0.003), (0.17, 0.17, 0.006)),
-        "stack": (0.058, (0.0, 0.0, 0.014), (0.05, 0.038, 0.02)),
-        "camera and antenna": (0.071, (0.01, 0.0, 0.02), (0.16, 0.03, 0.02)),
-        "battery": (0.212, (0.003, 0.0, 0.055), (0.078, 0.038, 0.038)),
-    }
-    for name, (mass, place, box) in parts.items():
-        lines += ["[[part]]", f'name = "{name}"', f"mass_kg = {mass}", f"position_m = {list(place)}"]
-        lines.append(f"box_m = {list(box)}")
-    lines += ["[motor_part]", "mass_kg = 0.0335", "cylinder_m = [0.0138, 0.02]"]
-    lines += ["[propeller_part]", "mass_kg = 0.0045", "centre_of_mass_m = [0, 0, 0]"]
-    lines.append("inertia_kg_m2 = [1.9e-6, 1.9e-6, 3.8e-6]")
-    for x, y, spin in ((-1, -1, "cw"), (1, -1, "ccw"), (-1, 1, "ccw"), (1, 1, "cw")):
-        lines += ["[[rotor]]", f"motor_m = [{x * arm}, {y * arm}, 0.008]"]
-        lines += [f"propeller_m = [{x * arm}, {y * arm}, {height}]", f'spin = "{spin}"']
-    lines += ["[propulsion]", "speed_curve_rpm = [-17000, 47000, 150]", "c_t = 0.143", "c_q = 0.0127"]
-    lines += ["propeller_diameter_m = 0.1295", "air_density_kg_m3 = 1.2", "supply_voltage_v = 23.5"]
-    lines += ["rotor_inertia_kg_m2 = 7.4e-6", "drag_coefficient = 8e-5", "rolling_coefficient = 1e-6"]
-    lines += [
-        "delay_s = 0.0015",
-        "[propulsion.response]",
-        'kind = "first_order"',
-        "time_constant_up_s = 0.025",
-    ]
-    lines += ["time_constant_down_s = 0.033", "[gyro]", "noise_deg_s = [1.3, 1.0, 1.4]", "bias_deg_s = 0.25"]
-    lines += ["[battery]", "cells = 6", "capacity_ah = 1.3", "rest_voltage_v = 25.2", "resistance_ohm = 0.03"]
-    lines += ["[body]", "size_m = [0.19, 0.19, 0.074]", "centre_m = [0, 0, 0.037]"]
-    return "\n".join(lines) + "\n"
+    """A 5-inch as `neuroflight aircraft new` makes it of what its pilot knows: no PID, no thrust stand."""
+    propeller = Propeller.parse("5.1x4.3x3")
+    return typical(Answers(0.68, 6, 1950, propeller, 0.112, (22, 7), 1.3, "dshot")).text
 
 
 def commands() -> list[str]:

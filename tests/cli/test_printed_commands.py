@@ -74,7 +74,8 @@ def folder(made: Path, tmp_path: Path) -> Path:
 def is_quick(line: str) -> bool:
     """Return whether a command needs neither hardware, a display nor minutes."""
     window = line.startswith("view ") and "--out" not in line
-    return line.startswith(QUICK) and not window and not LEFT_OUT & set(line.split())
+    asks = line.startswith("aircraft new") and "--weight" not in line
+    return line.startswith(QUICK) and not window and not asks and not LEFT_OUT & set(line.split())
 
 
 def inputs(words: list[str]) -> list[str]:

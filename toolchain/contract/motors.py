@@ -8,6 +8,7 @@ MOTOR_TEST_TIMEOUT_MS = 500  # a motor test without a fresh request ends; arming
 MOTOR_TEST_MAGIC = 0x5453544D  # "MTST": opens it; 0 closes it
 MOTOR_TEST_MAX = 0.5  # motor fraction: shows direction, order and balance at a quarter of the thrust
 MOTOR_TEST_SUM_MAX = 1.0  # of all motors: the NF1 hovers at four times 0.27
+MOTOR_TEST_TURN_DEG_S = 300.0  # an aircraft that turns so fast is not held: the test ends within 20 ms
 MOTOR_WIZARD_MAX = 0.125  # motor fraction, of the app's wizards: above the idle of 5.5 %, lifts no aircraft
 MOTOR_BENCH_MAGIC = 0x48434E42  # "BNCH": opens it for a rotor on a dynamometer, whose limits follow
 MOTOR_BENCH_MAX = 1.0  # motor fraction: of one motor alone, as the sum keeps its limit

@@ -562,6 +562,7 @@ class Msp(IntEnum):
         u8("brown_out", "", "the detector's level + 1, 1: it is off; 0: not told"),
         u8("airborne", "", "1: it has taken off since it was armed"),
         u8("gyro_chip", "", "its number + 1, see Numbers; 0: none that is known"),
+        u32("motor_key", "", "of board, aircraft, and how motors and gyro are set: for motors_checked"),
         required=12,
     )
     # all logged faults, and the policy that was refused in flight

@@ -22,6 +22,10 @@ META_MODEL = "neuroflight.model"  # JSON object; where the observation needs it,
 META_AIRCRAFT = "neuroflight.aircraft"
 META_AIRCRAFT_SHA256 = "neuroflight.aircraft_sha256"
 META_TRAINING = "neuroflight.training"
+META_GENERAL = "neuroflight.general"  # of a policy for any aircraft; see toolchain/policy/specialize.py
+META_SPECIALIZED = (
+    "neuroflight.specialized"  # of one that was made of it: JSON, what was told of the aircraft
+)
 POLICY_FILE_BYTES_MAX = 4 << 20
 SELFTEST_COUNT = 16
 

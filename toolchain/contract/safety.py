@@ -121,6 +121,7 @@ class ArmingReason(IntEnum):
     PROBATION = 20  # the image is new and has not run well for long enough yet
     IMAGE_BAD = 21  # flash does not hold the image whole any more
     SETTINGS = 22  # this image refuses some of the stored settings, so that others are flown
+    MOTORS_UNCHECKED = 23  # motors and gyro are not as `board motors check` last found them right
 
 
 ARMING_REASON_COUNT = max(ArmingReason) + 1  # bits that a field of reasons takes
@@ -128,12 +129,12 @@ ARMING_REASON_COUNT = max(ArmingReason) + 1  # bits that a field of reasons take
 # at MSP API 1.47, whose programs show their names; an image on probation and a write to flash are reported as
 # boot grace, because both end by themselves. 28 the board: a fault, its image, its clock. 29 the battery or
 # a setting. 30 no controller.
-ARMING_FLAGS = (9, 12, 2, 7, 3, 30, 0, 8, 29, 28, 6, 16, 9, 30, 30, 29, 28, 11, 16, 13, 9, 28, 29)
+ARMING_FLAGS = (9, 12, 2, 7, 3, 30, 0, 8, 29, 28, 6, 16, 9, 30, 30, 29, 28, 11, 16, 13, 9, 28, 29, 29)
 # Counts of beeper and LED for each reason while the arm switch is on: the remedy. The highest one is
 # signalled. 0: signalled in another way, or the switch cannot be read then. 1 switch off and on, 2 throttle
 # down, 3 level and still, 4 wait, 5 a computer holds it, 6 the policy, 7 the battery, 8 the board: connect a
 # computer.
-ARMING_COUNTS = (4, 3, 0, 2, 1, 6, 8, 3, 7, 0, 0, 5, 4, 6, 6, 8, 8, 4, 5, 5, 4, 8, 8)
+ARMING_COUNTS = (4, 3, 0, 2, 1, 6, 8, 3, 7, 0, 0, 5, 4, 6, 6, 8, 8, 4, 5, 5, 4, 8, 8, 8)
 ARMING_FLAG_FAILSAFE = 1  # in a state of the failsafe
 ARMING_FLAG_SWITCH = 31  # the last flag: the arm switch is on although arming is forbidden
 ARMING_FLAG_COUNT = 32

@@ -200,6 +200,8 @@ _GAIN_MEANING = "of the PID: times the gain that is built in"
 # Flown in the twins of NF1 and hexacopter without gyro filters: both fly every corner, up to a P of 1.4, down
 # to a D of 0.6. The NF1 swings at a P of 3 with a D of 0 or 1, and at a P of 0.2 with a D of 3.
 _GAIN_FACTORS = (("p", 0.5, 1.25), ("i", 0.0, 3.0), ("d", 0.75, 2.0))
+MOTOR_KEY_MAX = (1 << 24) - 1  # MAVLink's numbers are exact as far
+_CHECKED_MEANING = "of what `board motors check` found right, which it stores; 0: nothing"
 _BEEPS = {
     "crashed": "after a crash",
     "receiver_lost": "the receiver is lost",
@@ -297,6 +299,8 @@ SETTINGS = (
         for motor in range(1, MOTOR_COUNT_MAX + 1)
     ),
     _switch("motors_reversed", False, "props out: all motors turn the other way than in the aircraft file"),
+    _switch("motor_check", True, "off: arms whether motors and gyro were checked or not"),
+    _whole("motors_checked", 0, MOTOR_KEY_MAX, 0, "", _CHECKED_MEANING),
     _choice("motor_protocol", ("dshot300", "dshot600", "dshot150"), "to the ESCs", default=1),
     _switch("motor_telemetry", False, "ESCs tell rotor speeds over the motor wires: bidirectional DShot"),
     _whole("motor_poles", 2, 100, MOTOR_POLES_DEFAULT, "magnets", "of a motor's bell; even"),

@@ -23,6 +23,7 @@ from neuroflight.toolchain import contract
 from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.policy.freeze_memory import KINDS, Memory, tensor
 from neuroflight.toolchain.policy.plain_checkpoint import ANOTHER_TRAINER, load_plain
+from neuroflight.toolchain.policy.specialize import BASIS, FEATURES, general_document
 
 OPSET, IR_VERSION = 17, 8  # old enough for every runtime in use, new enough for every operator here
 ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
@@ -167,11 +168,42 @@ def to_onnx(
     model = helper.make_model(
         graph, opset_imports=[opset], ir_version=IR_VERSION, producer_name="neuroflight"
     )
-    for key, text in _metadata(frozen, config, progress or {}).items():
+    metadata = _metadata(frozen, config, progress or {})
+    if any(name.startswith(f"{BASIS}0.") for name in state):
+        metadata[contract.META_GENERAL] = _general(frozen, state)
+    for key, text in metadata.items():
         model.metadata_props.append(onnx.StringStringEntryProto(key=key, value=text))
     data: bytes = model.SerializeToString(deterministic=True)
     parse_policy(data)  # whatever is written can be read: its refusals are this function's too
     return data
+
+
+def _general(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> str:
+    """Return the metadata of a general policy: the arrays of policy.onnx that each feature weighs."""
+
+    def arrays(part: Mapping[str, ArrayLike]) -> dict[str, Matrix]:
+        memory, layers = _layers(frozen, part, fold=True)
+        named = {} if memory is None else memory.onnx_arrays()
+        for index, (weight, bias) in enumerate(layers):
+            named |= {f"weight{index}": weight, f"bias{index}": bias}
+        return named
+
+    bases = []
+    for number in range(FEATURES):
+        start = f"{BASIS}{number}."
+        bases.append(
+            arrays({n.removeprefix(start): each for n, each in state.items() if n.startswith(start)})
+        )
+    # The output's map moves a sum's last bias once, not with each of its parts.
+    nothing = arrays({name: np.zeros_like(np.asarray(state[f"{BASIS}0.{name}"])) for name in _own(state)})
+    for basis in bases[1:]:
+        for name in basis:
+            basis[name] = basis[name] - nothing[name]
+    return general_document([{n: _float32(each, n) for n, each in basis.items()} for basis in bases])
+
+
+def _own(state: Mapping[str, ArrayLike]) -> list[str]:
+    return [name for name in state if not name.startswith(BASIS)]
 
 
 def _frozen_config(config: Mapping[str, Any]) -> FrozenConfig:

@@ -49,6 +49,8 @@ class PolicyModel:
     idle: float = contract.IDLE_DEFAULT  # motor fraction without thrust that it was trained with
     mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs with the pilot's thrust
     model: ModelConstants | None = None  # of its aircraft; where the observation needs it
+    general: bool = False  # whether it can be specialized for other aircraft: specialize.py
+    specialized: bool = False  # made of such a one: its image arms only once motors and gyro were checked
 
     @property
     def observation_count(self) -> int:
@@ -175,6 +177,8 @@ def _describe(metadata: Mapping[str, str], sha256: str, network: Network) -> Pol
         idle=_idle(metadata),
         mix=_mix(metadata),
         model=_model(metadata, blocks, actions),
+        general=contract.META_GENERAL in metadata,
+        specialized=contract.META_SPECIALIZED in metadata,
     )
 
 

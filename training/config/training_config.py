@@ -102,6 +102,8 @@ class WorldConfig:
     throttle_max: Share = 0.0  # the pilot's thrust is drawn for each episode from 0 to this
     throttle_share: Share = 1.0  # share of the episodes that have any
     throttle_steps: Share = 0.0  # share of those in which it changes on the way, at random times
+    # "any": each 16 episodes fly a quadcopter of their own, drawn from all that fly; a policy is told of it.
+    aircraft: Annotated[str, OneOf(("file", "any"))] = "file"
     randomization: Randomization = field(default_factory=Randomization)
 
     def draw_throttles(
@@ -159,6 +161,8 @@ class TrainingConfig:
     # Checkpoint at the end of the segment that passes each multiple.
     checkpoint_steps: Annotated[int, Limits(1)] = 1_000_000
     selection: SelectionLimits = field(default_factory=SelectionLimits)  # of what becomes policy.onnx
+    # SHA-256 of the checkpoint whose policy the run begins with, as `--from` sets it; none: random weights.
+    start: str | None = None
 
     def __post_init__(self) -> None:
         """Reject a configuration that cannot be run."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.aircraft.identity import other_aircraft_note
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.control.any_policy import own_policy
 from neuroflight.sim.control.controller import Controller, PolicyController
 from neuroflight.sim.control.pid import aircraft_pid
 from neuroflight.sim.control.pid_table import pid_settings
@@ -22,7 +22,7 @@ from neuroflight.toolchain.contract import GYRO_RATE_DEFAULT_HZ, Mix
 from neuroflight.toolchain.errors import PolicyError
 from neuroflight.toolchain.policy.gyro_filters import UNFILTERED, GyroFilters
 from neuroflight.toolchain.policy.label import policy_label
-from neuroflight.toolchain.policy.model import read_policy
+from neuroflight.toolchain.policy.model import parse_policy
 from neuroflight.training.evaluation.betaflight import BetaflightSpec, record_betaflight
 from neuroflight.training.evaluation.evaluation import Event, Flights, record
 from neuroflight.training.evaluation.users_controller import (
@@ -67,7 +67,9 @@ AnyController = ControllerSpec | BetaflightSpec
 
 
 def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) -> ControllerSpec:
-    """Load `pid`, `pid:NAME` of the aircraft file, a policy.onnx or a FILE.py:CLASS.
+    """Load `pid`, `pid:NAME` of the aircraft file, a policy.onnx, `any` or a FILE.py:CLASS.
+
+    A general policy, as `any` is, flies specialized for the aircraft.
 
     idle: replaces its own unless None. Raises AircraftError, PolicyError or TrainingError if it does not
     exist, or drives another number of motors.
@@ -88,8 +90,11 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
             mix=settings.mix,
             gyro_filters=settings.gyro_filters,
         )
-    path = Path(name)
-    policy = read_policy(path)
+    data = own_policy(name, aircraft)
+    try:
+        policy = parse_policy(data)
+    except PolicyError as error:
+        raise PolicyError(f"{name}: {error}") from error
     if policy.action_count != aircraft.motor_count:
         raise PolicyError(
             f"{name} drives {policy.action_count} motors, aircraft {aircraft.name} has "
@@ -103,7 +108,7 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
         control_rate_hz=policy.control_rate_hz,
         idle=policy.idle if idle is None else idle,
         facts={
-            "policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            "policy_sha256": hashlib.sha256(data).hexdigest(),
             **({} if note is None else {OTHER_AIRCRAFT: note}),
         },
         mix=policy.mix,

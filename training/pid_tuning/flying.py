@@ -190,7 +190,8 @@ def _rows(
     same = np.ones(LANES, np.float32)
     return {
         "response": np.ascontiguousarray(response_rows(propulsion, dt, slow).T, np.float32),
-        **dict.fromkeys(("speed", "lift", "drag", "light", "load"), same),
+        "speed": np.ones((aircraft.motor_count, LANES), np.float32),
+        **dict.fromkeys(("lift", "drag", "light", "load"), same),
         "charge": -same,  # the bench supply
         "delay": np.maximum(1, np.rint(delay / dt)).astype(np.int32),
         "shake": same * np.float32(max(aircraft.gyro.vibration)),

@@ -57,6 +57,27 @@ class Progress:
     chosen: CheckpointMetrics | None = None  # metrics of the policy that would be chosen now
 
 
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Results of another run, that a run begins with."""
+
+    learned: Learned
+    folder: Path
+    name: str  # of its folder or shipped policy, as the user gave it
+    sha256: str  # of its checkpoint
+    aircraft: str  # that it was trained on
+    aircraft_sha256: str
+
+    def document(self) -> dict[str, str]:
+        """Return its name and digests as JSON data."""
+        return {
+            "name": self.name,
+            "checkpoint_sha256": self.sha256,
+            "aircraft": self.aircraft,
+            "aircraft_sha256": self.aircraft_sha256,
+        }
+
+
 class Callback:
     """Called while a run goes on; a subclass overrides what it needs."""
 
@@ -98,7 +119,7 @@ def train(
     resume: bool = False,
     monitor: Monitor | None = None,
     command: str | None = None,
-    start: Learned | None = None,
+    start: Start | None = None,
 ) -> Progress:
     """Train and write `out`/checkpoint.pt, policy.onnx, training.json and rewards.csv.
 
@@ -110,20 +131,26 @@ def train(
     monitor: flies every checkpoint, and policy.onnx is the one that `training.checkpoints.selection` chooses;
     without it, the latest. `out`/monitor.json holds its metrics. command: repeats the run, for the record.
     start: what another run learned, that a pathwise run begins with instead of random weights.
-    Raises TrainingError if there is nothing to resume, or the configuration differs.
+    Raises TrainingError if there is nothing to resume, the configuration differs, or it names another start.
     """
+    if config.start != (None if start is None else start.sha256):
+        raise TrainingError(
+            f"the configuration begins with checkpoint {config.start and config.start[:12]}, got "
+            f"{start and start.sha256[:12]}; name the run that it was by --from"
+        )
     # A second thread makes networks this small little faster, and twenty times slower on a busy machine.
     torch.set_num_threads(1)
     callback = callback or Callback()
     document = config.document(aircraft)
     run, monitor_state = load_run(out / CHECKPOINT, document) if resume else (None, MonitorState())
-    results = _Results(out, config, document, command, monitor is not None)
+    told = None if start is None else start.document()
+    results = _Results(out, config, document, command, monitor is not None, told)
     model = make_learner(aircraft, config)
     if start is not None:
         if not isinstance(model, PathwiseLearner):
             model.close()
             raise TrainingError(f"algorithm {config.algorithm.name}: only pathwise starts from another run")
-        model.start_from(start.policy, start.learner)
+        model.start_from(start.learned.policy, start.learned.learner)
     _tidy(out)
     began, before, segment, marked = time.monotonic(), 0.0, 0, 0
     if run is not None:
@@ -192,7 +219,8 @@ def go_back(aircraft: Aircraft, config: TrainingConfig, out: Path, steps: int) -
     """
     document = config.document(aircraft)
     run, monitor_state = load_run(out / CHECKPOINT, document)
-    results = _Results(out, config, document, read_record(out)["command"], monitored=True)
+    record = read_record(out)
+    results = _Results(out, config, document, record["command"], monitored=True, start=record.get("from"))
     results.write(run, monitor_state.going_back(steps), _seconds(out))
 
 
@@ -221,6 +249,7 @@ class _Results:
     document: dict[str, Any]
     command: str | None
     monitored: bool
+    start: dict[str, str] | None = None  # `Start.document`
 
     def write(self, run: Run, monitor_state: MonitorState, seconds: float) -> None:
         """Write all files; the checkpoint first, because `--resume` can make the others from it."""
@@ -261,6 +290,7 @@ class _Results:
             "seconds": seconds,
             "steps_per_second": round(run.steps / seconds) if seconds else None,
             "command": self.command,
+            **({} if self.start is None else {"from": self.start}),
             "python": platform.python_version(),
             "tools": {tool: found.version for tool in TOOLS for found in distributions(name=tool)},
             "chosen": best and {"rule": rule(self.config.selection), **best.document()},

@@ -58,5 +58,6 @@ struct firmware_status {
 	uint8_t battery_level; /* enum battery_level */
 	uint8_t gyro_identity; /* what the gyro chip says it is, known or not; 0: nothing was read */
 	uint8_t gyro_chip; /* enum gyro_chip + 1; 0: none that is known */
+	uint32_t motor_key; /* what motors_checked must be if they have been checked as they are */
 	uint8_t brown_out; /* the detector's level + 1, 1: it is off; 0: not told */
 };

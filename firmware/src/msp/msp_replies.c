@@ -393,6 +393,7 @@ static void reply_safety(struct msp_writer *w, const struct msp_request *q)
 	msp_put_u8(w, status->brown_out);
 	msp_put_u8(w, status->airborne);
 	msp_put_u8(w, status->gyro_chip);
+	msp_put_u32(w, status->motor_key);
 }
 
 static const struct command {

@@ -12,7 +12,9 @@ from neuroflight.sim.aircraft.known import How, Known, known_line
 from neuroflight.sim.aircraft.model import Aircraft, parse_aircraft
 from neuroflight.sim.aircraft.typical.airframe import Airframe, typical_airframe
 from neuroflight.sim.aircraft.typical.answers import INCH, Answers, Whole, completed
-from neuroflight.sim.aircraft.typical.drive import Drive, typical_drive
+from neuroflight.sim.aircraft.typical.drive import EFFICIENCY, RPM, Drive, typical_drive
+from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.toolchain.errors import AircraftError
 
 CELL_FULL = 4.2  # [V]
 TOLD = "your answer"
@@ -40,6 +42,13 @@ def typical(answers: Answers) -> TypicalAircraft:
     whole = completed(answers)
     drive = typical_drive(whole)
     frame = typical_airframe(whole, drive)
+    full = 4 * drive.thrust_coefficient * (RPM * sum(drive.speed_curve_rpm)) ** 2 / GRAVITY
+    if full < whole.weight:
+        raise AircraftError(
+            f"four motors of that size, {whole.kv:.0f} Kv, with such propellers on {whole.cells}S lift "
+            f"{full:.2g} kg, the aircraft weighs {whole.weight:.3g} kg; check weight, cells, Kv, motor and "
+            f"propeller"
+        )
     lines = [*_head(answers, whole, frame), *_parts(whole, drive, frame), *_rotors(answers, whole, frame)]
     lines += _tables(whole, drive, frame)
     known = _marks(whole)
@@ -114,6 +123,7 @@ def _tables(whole: Whole, drive: Drive, frame: Airframe) -> list[str]:
         f"drag_coefficient = {_few(drive.drag_coefficient)}",
         f"rolling_coefficient = {_few(drive.rolling_coefficient)}",
         f"delay_s = {_few(whole.delay)}",
+        f"efficiency = {EFFICIENCY}",
         "",
         "[propulsion.response]",
         'kind = "first_order"',
@@ -150,10 +160,10 @@ def _tables(whole: Whole, drive: Drive, frame: Airframe) -> list[str]:
 def _resistance(whole: Whole) -> float:
     """Return the resistance [ohm] of pack and leads.
 
-    5.5 mohm a cell for an ampere hour, as healthy racing packs have, half a milliohm of its tabs and 4 mohm
+    4.5 mohm a cell for an ampere hour, as healthy racing packs have, half a milliohm of its tabs and 4 mohm
     of leads and plug; a whoop's small plug and wires have 15.
     """
-    return whole.cells * (0.0055 / whole.capacity + 0.0005) + (0.015 if whole.cells == 1 else 0.004)
+    return whole.cells * (0.0045 / whole.capacity + 0.0005) + (0.015 if whole.cells == 1 else 0.004)
 
 
 def _electronics(whole: Whole) -> float:
@@ -185,9 +195,10 @@ def _marks(whole: Whole) -> dict[str, Known]:
     typical_of("propulsion.thrust_coefficient", _THRUST, "pitch")
     typical_of("propulsion.torque_ratio_m", _TORQUE, "pitch")
     answered("propulsion.propeller_diameter_m", "propeller", "by the weight")
-    typical_of("propulsion.supply_voltage_v", "3.85 V a cell, half full", "cells")
+    typical_of("propulsion.supply_voltage_v", "3.7 V a cell, nominal", "cells")
     typical_of("propulsion.rotor_inertia_kg_m2", _INERTIA, "propeller", "stator_mm")
     typical_of("propulsion.drag_coefficient", _DRAG, "propeller")
+    typical_of("propulsion.efficiency", "electrical power in the same thrust tests")
     marks["propulsion.rolling_coefficient"] = Known(How.GUESSED, None, "as public twins have, by D^4")
     typical_of("propulsion.delay_s", "ESC and a 1 kHz loop, by protocol; assumed, as the shipped aircraft's")
     typical_of("propulsion.response", _RESPONSE, "propeller", "stator_mm")
@@ -199,7 +210,7 @@ def _marks(whole: Whole) -> dict[str, Known]:
     answered("battery.cells", "cells", "by the weight")
     answered("battery.capacity_ah", "capacity_ah", "30 % of the weight, 140 Wh/kg")
     typical_of("battery.rest_voltage_v", "4.2 V a full cell", "cells")
-    typical_of("battery.resistance_ohm", "5.5 mohm Ah a cell of racing packs, and leads", "capacity_ah")
+    typical_of("battery.resistance_ohm", "4.5 mohm Ah a cell of racing packs, and leads", "capacity_ah")
     marks["battery.electronics_w"] = Known(How.GUESSED, None, "2 to 8 W by the weight")
     marks["body"] = Known(How.GUESSED, None, "in proportion to the arm")
     return marks
@@ -215,7 +226,7 @@ _NAMES = {
 }
 _THRUST = "(0.05 + 0.11 P/D) sqrt(blades/2): UIUC's and Mini Quad Test Bench's static tests, most within 15 %"
 _TORQUE = "figures of merit of the same propellers, 0.44 to 0.68"
-_CURVE = "Kv, volts and load: thrust tests of ten motors and propellers, within 10 %"
+_CURVE = "Kv, volts and load: thrust tests of six motors, most within 10 %"
 _INERTIA = "masses of propellers and bells as sold"
 _RESPONSE = "rotor inertia over motor strength and propeller drag; the NF1's measured lag within 10 %"
 _DRAG = "0.5/s of a hovering quadrotor's speed (Faessler 2017), by D^3"

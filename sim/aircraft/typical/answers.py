@@ -1,4 +1,4 @@
-"""A pilot's answers about an aircraft, and typical ones where nothing is told."""
+"""Answers of a pilot about an aircraft, and typical values where there is none."""
 
 from __future__ import annotations
 

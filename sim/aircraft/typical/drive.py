@@ -9,12 +9,13 @@ from neuroflight.sim.aircraft.typical.answers import Whole
 from neuroflight.toolchain.contract import GRAVITY
 
 AIR_DENSITY = 1.225  # [kg/m^3], standard atmosphere at sea level
-CELL_LOADED = 3.85  # [V], of a cell half full
+CELL_LOADED = 3.7  # [V], a cell's nominal voltage
 FIVE_INCH = 0.12954  # [m], 5.1 inch: the propeller that most of the numbers below are of
 BELL_MASS, BELL_RADIUS = 0.45, 0.4775  # of a motor's mass; gyration radius, of its stator's diameter
 BLADE = 0.05  # of a propeller's m D^2: a rod's twelfth, times 0.6 because blades taper
 HALF_MORE = 0.03  # of full speed, by which half throttle turns faster than the equation says
 SLOWER_DOWN = 1.35  # time constant of slowing down over that of speeding up; 1.3 to 2 in published twins
+EFFICIENCY = 0.75  # of motor and ESC
 IDLE = 0.003  # of full speed
 RPM = 2 * math.pi / 60
 
@@ -82,19 +83,20 @@ def static_thrust(pitch_ratio: float, blades: int) -> float:
 def figure_of_merit(diameter: float, blades: int) -> float:
     """Return the ideal power of a propeller's thrust over its power, at rest; diameter [m].
 
-    By the same tests: APC 10x4.7 SF 0.68, MicroInvent 5x4x3 0.52, DA4052 5x3.75x3 0.44, the NF1's 0.62.
+    By the same tests: APC 10x4.7 SF 0.68; at low speeds MicroInvent 5x4x3 0.52, DA4052 5x3.75x3 0.44; the
+    NF1's 0.62. Their electrical power says 0.45 to 0.56 with EFFICIENCY in it; the Eco 2306 0.50.
     """
-    return 0.53 * math.pow(diameter / FIVE_INCH, 0.2) * math.pow(3 / blades, 0.25)
+    return 0.60 * math.pow(diameter / FIVE_INCH, 0.12) * math.pow(3 / blades, 0.1)
 
 
 def motor_strength(mass: float) -> float:
     """Return K_t^2 / R [N m s/rad] of a motor of that mass [kg] with its ESC and leads.
 
     It grows as the mass to the power of 5/3, as for motors of one shape, less below 20 g. Through what motors
-    lose of their no-load speed in the tests above: 4114 (148 g) 3.1e-3, 3110 (70 g) 8e-4, 2306 (28 g) 2e-4,
-    2207 (29 g) 2.6e-4; a cheap 2312 (50 g) has 2.2e-4, half of it, the NF1's 2204 (20 g) 3.6e-5, a third.
+    lose of their no-load speed in the tests above: 4114 (148 g) 2.7e-3, 3110 (70 g) 8.6e-4, 2306 (28 g)
+    1.4e-4, 2207 (29 g) 2.3e-4; a cheap 2312 (50 g) has 2.4e-4, the NF1's 2204 (20 g) 3.6e-5, half of it.
     """
-    return 0.0748 * math.pow(mass, 5 / 3) * math.pow(min(1.0, mass / 0.020), 0.4)
+    return 0.06 * math.pow(mass, 5 / 3) * math.pow(min(1.0, mass / 0.020), 0.4)
 
 
 def speed_curve(

@@ -176,7 +176,8 @@ enum { MOUNT_CENTRE, MOUNT_RIG, MOUNT_FREE };
 struct world {
 	size_t count;
 	int mount;
-	bool ground, gravity;
+	bool ground, gravity, held;
+	double stiffness[3], damping[3]; /* of what holds the rig, about the body axes: [N m/rad], [N m s/rad] */
 	void *client;          /* bullet's; NULL: closed */
 	int link, frame;       /* of bullet: what torques act on, and the axes that they are given in */
 	const int32_t *bodies; /* (N) */

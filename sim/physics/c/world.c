@@ -51,6 +51,17 @@ bool world_read_pose(struct world *w, size_t count, const int64_t *which)
 	return true;
 }
 
+/* What holds the rig turns it back to level. For turns that are small: the sine of the turn stands for it. */
+static void world_hold(const struct world *w, size_t i, double *moment)
+{
+	const double *const rotation = w->rotation + 9u * i, *const rate = w->rate + 3u * i;
+	const double turn[3] = { 0.5 * (rotation[7] - rotation[5]), 0.5 * (rotation[2] - rotation[6]),
+				 0.5 * (rotation[3] - rotation[1]) };
+
+	for (size_t j = 0; j < 3; ++j)
+		moment[j] -= w->stiffness[j] * turn[j] + w->damping[j] * rate[j];
+}
+
 /* Moment about the pivot, body axes; gravity pulls at the rig's hanging centre of mass. */
 static void world_moment(const struct world *w, size_t i, const double *wrench, double *moment)
 {
@@ -69,6 +80,8 @@ static void world_moment(const struct world *w, size_t i, const double *wrench, 
 	row_times(force, w->swing, 3, 3, swung);
 	for (size_t j = 0; j < 3; ++j)
 		moment[j] -= swung[j];
+	if (w->held)
+		world_hold(w, i, moment);
 }
 
 /* What is asked of Bullet for a step of aircraft i, and its rate in the middle of it. */

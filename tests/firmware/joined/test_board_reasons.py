@@ -1,4 +1,4 @@
-"""background.c on a board that says of itself what forbids arming: clock, alignment, load."""
+"""background.c on a board that says of itself what forbids arming: clock, alignment, load, motors."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ GYRO_HZ = 1000
 CYCLES_HZ = 216_000_000
 RENEW_MS = 5000  # FAULT_LOG_RENEW_MS of background.c
 OTHERS = {ArmingReason.RECEIVER_LOST, ArmingReason.SWITCH_NOT_CYCLED}
+GYRO_COUNTS = 32768 / 2000  # a deg/s
 CW90 = 2  # of the setting gyro_alignment
 Make = Callable[..., "Board"]
 
@@ -37,7 +38,7 @@ class Board:
     made_of: Any = None  # the flash
 
     def __init__(
-        self, core: Any, flash: Any, alignment: int = 0, controller: float = 0.0, **board: object
+        self, core: Any, flash: Any, alignment: int = 0, controller: float = 0.0, **board: Any
     ) -> None:
         """Start it.
 
@@ -71,9 +72,10 @@ class Board:
         for change, (name, value) in zip(self.change, settings.items(), strict=True):
             change.index, change.value.as_uint32_t = core.lib.settings_find(name.encode()), value
         self.background = core.new("struct background *")
+        identity = {"target": self.target, "volts_scale": 11.0, "amps_scale": 17.9}
         info = {
             "hal": self.hal, "changes": self.change,
-            "identity": {"target": self.target, "volts_scale": 11.0, "amps_scale": 17.9},
+            "identity": {**identity, **board.pop("identity", {})},
             "change_count": len(settings), "gyro_rate_hz": GYRO_HZ, "cycles_hz": CYCLES_HZ, **board,
         }  # fmt: skip
         parts = {"firmware": self.fw, "weights": ffi.cast("float *", self.weights), "stats": self.stats}
@@ -90,12 +92,13 @@ class Board:
     def _power(self, context: Any, power: Any) -> None:
         power.volts_mv, power.amps_mv, power.valid = 1527, 0, True
 
-    def run(self, ms: int, load: float = 0.4) -> set[ArmingReason]:
-        """Still samples that take that share of their period; what forbids arming then."""
+    def run(self, ms: int, load: float = 0.4, turning_deg_s: float = 0.0) -> set[ArmingReason]:
+        """Samples that take that share of their period, still or turning; what forbids arming then."""
+        rates = (round(turning_deg_s * GYRO_COUNTS), 0, 0)
         for _ in range(ms):
             self.number += 1
             accel = (0, 0, G_COUNTS + self.number % 2)
-            sample = self.core.new("struct imu_sample *", ((0, 0, 0), accel, 0, True))
+            sample = self.core.new("struct imu_sample *", (rates, accel, 0, True))
             self.core.lib.firmware_sample(self.fw, sample, self.dshot)
             self.core.lib.task_stats_add(self.stats + Task.CONTROL, int(load * CYCLES_HZ / GYRO_HZ), False)
             for _ in Task:
@@ -162,6 +165,33 @@ def test_it_does_not_arm_when_other_settings_are_flown_than_were_stored(
     assert board(stored=stored).run(1200) == held
 
 
+@pytest.mark.parametrize(
+    ("otherwise", "held"),
+    [
+        ({}, set()),
+        ({"motor1_output": 2, "motor2_output": 1}, {ArmingReason.MOTORS_UNCHECKED}),
+        ({"motors_reversed": 1}, {ArmingReason.MOTORS_UNCHECKED}),
+        ({"board_yaw_deg": 90.0}, {ArmingReason.MOTORS_UNCHECKED}),
+        ({"gyro_alignment": CW90}, {ArmingReason.MOTORS_UNCHECKED}),
+        ({"gyro_alignment": CW90, "motor_check": 0}, set()),
+        ({"gyro_stuck_ms": 20, "motor_stop": 1}, set()),
+    ],
+)
+def test_it_does_not_arm_when_motors_or_gyro_are_set_otherwise_than_they_were_checked(
+    board: Make, otherwise: dict[str, float], held: set[ArmingReason]
+) -> None:
+    key = int(board().background.motor_key)
+    alignment = int(otherwise.get("gyro_alignment", 0))
+    made = board(stored={"motors_checked": key, **otherwise}, alignment=alignment)
+    assert made.run(1200) == held
+    assert made.background.motor_key == key or held or "gyro_alignment" in otherwise
+
+
+def test_another_board_or_aircraft_is_not_checked_when_one_was(board: Make) -> None:
+    keys = {int(board(identity={"unique_id": [number, 7, 8]}).background.motor_key) for number in range(3)}
+    assert len(keys) == 3
+
+
 def test_it_does_not_arm_until_a_second_has_passed_without_an_overload(board: Make) -> None:
     b = board(real_time=True)
     assert b.run(1200) == set()
@@ -222,3 +252,20 @@ def test_a_full_fault_log_is_begun_anew_after_seconds_and_only_while_no_motor_tu
     done = flash.operations
     b.run(2000)
     assert flash.operations == done, "once is enough"
+
+
+@pytest.mark.parametrize(("turning_deg_s", "open_still"), [(290.0, True), (-310.0, False)])
+def test_a_motor_test_ends_when_the_aircraft_turns_as_one_that_nobody_holds(
+    board: Make, turning_deg_s: float, open_still: bool
+) -> None:
+    b = board()
+    b.run(1200)
+    lib, test = b.core.lib, b.core.ffi.addressof(b.fw, "motor_test")
+    gentle = b.core.new("float[]", [0.1, 0.0, 0.0, 0.0])
+    assert lib.motor_test_ask(test, MOTOR_TEST_MAGIC, True) == Refusal.NONE
+    assert lib.motor_test_give(test, gentle, 4) == Refusal.NONE
+    b.run(5)
+    assert b.dshot[0] > 0
+    b.run(25, turning_deg_s=turning_deg_s)
+    assert lib.motor_test_open(test) is open_still
+    assert (b.dshot[0] > 0) is open_still

@@ -32,14 +32,12 @@ from neuroflight.sim.aircraft.model import (
     torque_ratio,
 )
 from neuroflight.sim.aircraft.pid_write import write_pid
-from neuroflight.sim.design.airworthiness import Level, examine
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.policy.model import AIRCRAFT_NAME
 from neuroflight.toolchain.strict_toml import StrictTable, Value
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 DOCS = Path(__file__).parents[3] / "docs"
-GUIDE = (DOCS / "guides" / "own-aircraft.md").read_text()
 KEYS = (DOCS / "reference" / "aircraft.md").read_text()
 FRAME_INERTIA = "inertia_kg_m2 = [1.6783e-4, 1.1834e-4, 2.7257e-4]"
 
@@ -398,20 +396,6 @@ def test_refuses_an_oversized_file(tmp_path: Path) -> None:
     big.write_bytes(b"#" * (1 << 20))
     with pytest.raises(AircraftError, match="expected at most"):
         load_aircraft(big)
-
-
-def guide_example() -> str:
-    found = re.search(r"```toml\n(format = 1\n.*?)```", GUIDE, re.DOTALL)
-    assert found
-    return found[1]
-
-
-def test_example_of_the_guide_flies_without_a_warning_when_loaded(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text(guide_example())
-    aircraft = load_aircraft(path)
-    assert {verdict.level for verdict in examine(aircraft)[1]} == {Level.OK}
-    assert aircraft.battery is not None and aircraft.body is not None
 
 
 def test_thermal_constants_are_refused_in_one_line_when_no_current_is_known() -> None:

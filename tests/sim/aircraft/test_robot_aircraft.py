@@ -11,6 +11,7 @@ import pybullet
 import pytest
 
 from neuroflight.cli.main import main
+from neuroflight.sim.aircraft.known import How
 from neuroflight.sim.aircraft.mass import MassProperties, rotation_matrix
 from neuroflight.sim.aircraft.model import RPM, Aircraft, FirstOrderResponse, TorqueResponse, load_aircraft
 from neuroflight.sim.aircraft.robot import FILE_BYTES_MAX
@@ -183,6 +184,9 @@ def test_rotors_stand_in_the_order_of_the_bench_with_the_files_drives(tmp_path: 
         "[gyro]",
         "[accelerometer]",
     ]
+    known = found.aircraft.known
+    assert {"gyro", "accelerometer", "propulsion.delay_s"} <= set(known)
+    assert all(mark.how is How.GUESSED and mark.source for mark in known.values())
     assert aircraft.gyro == load_aircraft("nf1").gyro
     assert aircraft.body is not None
     assert Level.ERROR not in {verdict.level for verdict in examine(aircraft)[1]}

@@ -46,8 +46,22 @@ def test_full_throttle_is_near_a_published_thrust_test(
     merit = figure_of_merit(whole.diameter, whole.blades)
     k_q = whole.diameter * math.sqrt(2 * c_t / math.pi) / (2 * math.pi * merit)
     full, _ = speed_curve(kv, volts, k_t * k_q, motor_strength(whole.motor_mass))
-    assert full / RPM == pytest.approx(rpm, rel=0.08)
+    assert full / RPM == pytest.approx(rpm, rel=0.11)
     assert k_t * full**2 == pytest.approx(grams / 1000 * GRAVITY, rel=0.20)
+
+
+# Rotor speed over the pack's voltage [rpm/V] at steady throttles in flight, medians of a public log with ESC
+# telemetry: an iFlight Chimera7 Pro V2, log 3 of dfsilva/bucksaw's btfl_005.bbl, its motors' Kv from memory.
+TELEMETRY = {0.18: 242, 0.282: 355, 0.364: 436, 0.449: 513, 0.516: 578, 0.617: 674, 0.705: 755}
+
+
+def test_speed_over_throttle_is_near_that_of_a_public_log() -> None:
+    answers = Answers(1.3, 6, 1250, Propeller.parse("7.5x3.7x3"), 0.165, (28.0, 9.0))
+    propulsion = typical(answers).aircraft().propulsion
+    assert propulsion.supply_voltage is not None
+    for throttle, told in TELEMETRY.items():
+        speed = np.polyval(propulsion.speed_curve, throttle) / RPM / propulsion.supply_voltage
+        assert speed == pytest.approx(told, rel=0.10), throttle
 
 
 def test_authority_is_near_that_of_the_measured_nf1() -> None:
@@ -56,7 +70,7 @@ def test_authority_is_near_that_of_the_measured_nf1() -> None:
     mine = aircraft_figures(typical(answers).aircraft())
     # Its propellers push 1.8 times less than such ones do in other tests; in a hover that hardly counts.
     assert mine.hover_acceleration[:2] == pytest.approx(nf1.hover_acceleration[:2], rel=0.12)
-    assert mine.hover_acceleration[2] == pytest.approx(nf1.hover_acceleration[2], rel=0.6)
+    assert mine.hover_acceleration[2] == pytest.approx(nf1.hover_acceleration[2], rel=0.4)
     assert mine.principal_moments == pytest.approx(nf1.principal_moments, rel=0.12)
 
 
@@ -153,6 +167,7 @@ def test_propellers_are_read_as_they_are_sold(
         (lambda: Answers(0.68, 0), "cells: got 0, expected 1 to 14"),
         (lambda: Answers(0.68, protocol="dshot600"), "protocol 'dshot600': expected one of: dshot"),
         (lambda: typical(Answers(0.68, arm_m=0.05)), "propellers of 132 mm would touch"),
+        (lambda: typical(Answers(3.0, 1, 400)), "on 1S lift .* kg, the aircraft weighs 3 kg; check weight"),
         (lambda: typical(Answers(0.1, stator_mm=(31.0, 15.0))), "weight 100 g: four motors"),
     ],
 )

@@ -361,6 +361,7 @@ def test_one_aircraft_gets_the_bits_that_it_gets_among_others(mount: Mount, vari
         delay_s=rng.uniform(0.0, 0.004, 5),
         charge=rng.uniform(0.5, 1.0, 5),
         vibration=np.full(5, np.nan),
+        motors=rng.uniform(0.8, 1.2, (5, 8)),
     )
     commands = np.repeat(rng.uniform(0.0, 1.0, (30, 5, 4)), 10, axis=0)
     options: dict[str, object] = {"noise": False, "wash": False, "mount": mount, "gravity": True}

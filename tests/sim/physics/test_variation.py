@@ -13,6 +13,7 @@ from neuroflight.sim.physics.battery import open_circuit_voltage
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.physics.variation import Variation
 from neuroflight.sim.physics.world import Mount
+from neuroflight.toolchain.contract import MOTOR_COUNT_MAX
 from neuroflight.toolchain.errors import AircraftError
 from tests.sim.physics.flying import repeat
 
@@ -124,6 +125,7 @@ def test_a_varied_aircraft_flies_like_one_whose_file_says_so(aircraft: Aircraft,
         delay_s=np.array([0.0, 0.001, 0.003, 0.006, 0.002]),
         charge=np.array([1.0, 0.5, np.nan, 0.9, 0.2]),
         vibration=np.full(count, np.nan),
+        motors=rng.uniform(0.8, 1.0, (count, MOTOR_COUNT_MAX)),
     )
     commands = rng.uniform(0.0, 0.9, (20, count, aircraft.motor_count)).repeat(10, axis=0)
     together = twin(variation, aircraft=aircraft, **WORLDS[world])
@@ -137,6 +139,8 @@ def test_a_varied_aircraft_flies_like_one_whose_file_says_so(aircraft: Aircraft,
         )
         for i in range(count)
     ]
+    for single, motors in zip(apart, variation.motors, strict=True):
+        single.weaken(motors[: aircraft.motor_count])
     worst = 0.0
     for k, command in enumerate(commands):
         together.step(command)

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from neuroflight.sim.aircraft.model import Body, load_aircraft
-from neuroflight.sim.physics.world import COUNT_MAX, Mount, World
+from neuroflight.sim.physics.world import COUNT_MAX, Held, Mount, World
 from neuroflight.toolchain.contract import GRAVITY
 from neuroflight.toolchain.errors import AircraftError
 from tests.sim.physics.flying import repeat
@@ -40,6 +40,21 @@ def test_a_moment_accelerates_its_own_axis_by_the_inertia(mount: Mount, axis: in
     expected = np.zeros(3)
     expected[axis] = 0.1 * 1e-3 / inertia[axis, axis]
     assert world.rate[0] == pytest.approx(expected, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_held_aircraft_swings_as_a_damped_spring_when_it_is_pushed(axis: int) -> None:
+    hz, ratio, seconds = 2.0, 0.1, 0.4
+    world = World(NF1, 1, 0.0005, Mount.RIG, False, held=Held(hz, ratio))
+    push = np.zeros(3)
+    push[axis] = 5e-4
+    repeat(round(seconds / 0.0005), world.step, moment(*push))
+    slow = 2 * np.pi * hz
+    free = slow * np.sqrt(1 - ratio**2)
+    rate = (
+        push[axis] / RIG_INERTIA[axis, axis] * np.exp(-ratio * slow * seconds) / free * np.sin(free * seconds)
+    )
+    assert world.rate[0, axis] == pytest.approx(rate, rel=0.02)
 
 
 def test_rates_stay_body_rates_when_turned_about_a_tilted_axis() -> None:

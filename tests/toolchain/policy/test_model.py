@@ -302,7 +302,7 @@ def test_policy_is_refused_when_nothing_bounds_its_output(kit: Kit) -> None:
     )
 
 
-OPTIONAL = ("META_IDLE", "META_MIX", "META_MODEL")
+OPTIONAL = ("META_IDLE", "META_MIX", "META_MODEL", "META_GENERAL", "META_SPECIALIZED")
 
 
 @pytest.mark.parametrize(

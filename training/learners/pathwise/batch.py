@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import butter, lfilter
 
+from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.arrays import Array32
+from neuroflight.sim.control.told import told
 from neuroflight.sim.physics.variation import Variation
-from neuroflight.training.config.pathwise_config import PathwiseConfig
+from neuroflight.toolchain.policy.specialize import REFERENCE
+from neuroflight.training.config.any_aircraft import difficulty, draw_aircraft
+from neuroflight.training.config.pathwise_config import BLOCK, PathwiseConfig
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.tasks.random_steps import RandomStepsTask, StepWeights
 
@@ -21,6 +25,7 @@ YAW = 0.2  # of the standard deviation in roll and pitch: the drag of rotors abo
 WASH_HZ = (3.3, 80.0)  # of prop wash, sim/physics/air.py: half power, of propellers of 5 inches
 WASH_YAW = 0.1  # of the standard deviation in roll and pitch: drag torques have short levers
 WASHED = 0.5  # of the aircraft
+STILL = 0.6  # of the aircraft that are drawn: their gyro is shaken as in the run's file
 WASH_BEGUN_S = 0.3  # before the episode: some times the memory of the band-pass
 
 
@@ -34,6 +39,8 @@ class Batch:
     variation: Variation  # of the B aircraft
     seed: int  # of the noise
     disturbance: Array32 | None = None  # (B, T, 3) [rad/s^2], by moments from outside at the file's inertia
+    # Of each BLOCK of the B, what is told of them; none: all are the run's.
+    told: tuple[Aircraft, ...] = ()
 
     def shares(self) -> list[Array32]:
         """Return the shares (B, T) of the control steps in the means.
@@ -50,9 +57,9 @@ class Batch:
 
 
 def draw_batch(
-    config: TrainingConfig, pathwise: PathwiseConfig, delay_s: float, rng: np.random.Generator
+    config: TrainingConfig, pathwise: PathwiseConfig, aircraft: Aircraft, rng: np.random.Generator
 ) -> Batch:
-    """Draw the episodes of an update. delay_s: the aircraft's own."""
+    """Draw the episodes of an update. aircraft: the run's."""
     count = pathwise.aircraft
     task, world, rate_hz = config.task, config.world, config.control_rate_hz
     if isinstance(task, RandomStepsTask):
@@ -60,13 +67,40 @@ def draw_batch(
     else:
         setpoint = task.episodes(count, rng, rate_hz)
         step_weights = StepWeights.equal(*setpoint.shape[:2])
-    return Batch(
+    batch = Batch(
         setpoint=setpoint,
         step_weights=step_weights,
         throttle=world.draw_throttles(count, setpoint.shape[1], rate_hz, rng),
-        variation=world.randomization.draw_near(count, rng, delay_s),
+        variation=world.randomization.draw_near(count, rng, aircraft.propulsion.delay),
         seed=int(rng.integers(2**63)),
         disturbance=_moments(pathwise, setpoint.shape[1], rate_hz, rng),
+    )
+    return _of_any(config, batch, aircraft, rng) if world.aircraft == "any" else batch
+
+
+def _of_any(config: TrainingConfig, batch: Batch, base: Aircraft, rng: np.random.Generator) -> Batch:
+    """Return the batch flown by aircraft that are drawn, one for each BLOCK.
+
+    Errors count in parts of what the aircraft cannot avoid, and moments from outside turn a large one less.
+    """
+    count = len(batch.setpoint)
+    drawn = tuple(draw_aircraft(base, rng) for _ in range(-(-count // BLOCK)))
+    delays = [aircraft.propulsion.delay for aircraft in drawn for _ in range(BLOCK)][:count]
+    known = [told(aircraft) for aircraft in drawn]
+    hard = np.repeat([difficulty(each) for each in known], BLOCK)[:count, None]
+    strong = [each.authority[0] / REFERENCE.authority[0] for each in known]
+    weights, shaken = batch.step_weights, batch.disturbance
+    variation = config.world.randomization.draw_near(count, rng, np.array(delays))
+    still = np.repeat(rng.random(len(drawn)) < STILL, BLOCK)[:count]
+    variation = replace(variation, vibration=np.where(still, np.nan, variation.vibration))
+    if shaken is not None:
+        shaken = shaken * np.repeat(np.clip(strong, 0.15, 2.5), BLOCK)[:count, None, None].astype(np.float32)
+    return replace(
+        batch,
+        step_weights=replace(weights, error=weights.error / hard, square=weights.square / hard),
+        variation=variation,
+        disturbance=shaken,
+        told=drawn,
     )
 
 

@@ -57,48 +57,68 @@ class Flights:
 
     def gradient(self, batch: Batch, parameters: Floats, weights: Weights) -> tuple[LossFigures, Floats]:
         """Compute figures of the batch's flights, and the loss's derivatives by the parameters."""
-        figures, gradients, _ = self._fly(batch, parameters, weights, wanted=True, recorded=False)
+        own = [self._surroundings] * -(-len(batch.setpoint) // LANES)
+        figures, gradients = self.gradients(batch, own, [parameters] * len(own), weights)
         total = gradients[0]
         for gradient in gradients[1:]:
             total += gradient
         return figures, total
 
+    def gradients(
+        self, batch: Batch, flown: Sequence[Surroundings], parameters: Sequence[Floats], weights: Weights
+    ) -> tuple[LossFigures, list[Floats]]:
+        """Compute figures of the batch's flights, and the loss's derivatives by each block's parameters.
+
+        flown, parameters: of each block of LANES flights. What surrounds their networks differs by no more
+        than the aircraft and its model.
+        """
+        figures, gradients, _ = self._fly(batch, flown, parameters, weights, wanted=True, recorded=False)
+        return figures, gradients
+
     def record(self, batch: Batch, parameters: Floats, weights: Weights) -> tuple[LossFigures, Record]:
         """Compute figures of the batch's flights, and return the flights."""
-        figures, _, records = self._fly(batch, parameters, weights, wanted=False, recorded=True)
+        own = [self._surroundings] * -(-len(batch.setpoint) // LANES)
+        given = [parameters] * len(own)
+        figures, _, records = self._fly(batch, own, given, weights, wanted=False, recorded=True)
         count = len(batch.setpoint)
         columns = [np.concatenate(parts, axis=2)[:, :, :count] for parts in zip(*records, strict=True)]
         return figures, Record(*columns)
 
     def _fly(
-        self, batch: Batch, parameters: Floats, weights: Weights, *, wanted: bool, recorded: bool
+        self,
+        batch: Batch,
+        flown: Sequence[Surroundings],
+        parameters: Sequence[Floats],
+        weights: Weights,
+        *,
+        wanted: bool,
+        recorded: bool,
     ) -> tuple[LossFigures, list[Floats], list[list[Floats]]]:
         """Return figures, the blocks' gradients if `wanted`, and their records if `recorded`."""
         charged = not np.isnan(batch.variation.charge).all()
-        plan = self._surroundings.plan(weights, charged, self._number)
-        self._prepare(plan)
-        given = np.ascontiguousarray(parameters, self._number)
+        plans = {id(own): own.plan(weights, charged, self._number) for own in flown}
+        self._prepare(plans[id(flown[0])])
         shares = batch.shares()
 
         def fly(block: int) -> tuple[NDArray[np.float64], Floats | None, list[Floats]]:
+            given = np.ascontiguousarray(parameters[block], self._number)
             found = np.zeros(len(given), self._number) if wanted else None
             record = self._record_arrays() if recorded else []
             figures = np.zeros(5)
             memory = self._memories.get()
             try:
-                arrays = self._block(batch, shares, block, memory[1])
+                arrays = self._block(batch, flown[block], shares, block, memory[1])
                 made = self._library.ffi.new("struct block *")
                 arrays |= {"parameters": given, "gradient": found, "figures": figures}
                 arrays |= dict(zip(("rate", "rotor_speed", "observation", "motors"), record, strict=False))
                 for name, array in arrays.items():
                     setattr(made, name, pointer(array))
-                self._library.lib.flight_run(plan, made, pointer(memory[0]))
+                self._library.lib.flight_run(plans[id(flown[block])], made, pointer(memory[0]))
             finally:
                 self._memories.put(memory)
             return figures, found, record
 
-        blocks = -(-len(batch.setpoint) // LANES)
-        results = list(self._pool.map(fly, range(blocks)))
+        results = list(self._pool.map(fly, range(len(flown))))
         figures = results[0][0]
         for own, _, _ in results[1:]:
             figures = figures + own
@@ -118,10 +138,10 @@ class Flights:
             self._memories.put((aligned(size, self._number), noise))
 
     def _block(
-        self, batch: Batch, shares: Sequence[Floats], block: int, noise: Floats
+        self, batch: Batch, surroundings: Surroundings, shares: Sequence[Floats], block: int, noise: Floats
     ) -> dict[str, NDArray[Any] | None]:
         """Return the arrays of a block. Lanes without an aircraft repeat the first one, without weight."""
-        surroundings, aircraft = self._surroundings, self._surroundings.aircraft
+        aircraft = surroundings.aircraft
         index = np.arange(block * LANES, (block + 1) * LANES)
         real = index < len(batch.setpoint)
         index = np.where(real, index, 0)
@@ -134,7 +154,7 @@ class Flights:
         weights = (np.where(real, share[index].T, 0.0) for share in shares)
         rows = {
             "response": response_rows(aircraft.propulsion, surroundings.dt, variation.lag).T,
-            "speed": variation.speed,
+            "speed": variation.speeds(aircraft.motor_count).T,
             "lift": lift,
             "drag": lift * variation.torque,
             "light": light,

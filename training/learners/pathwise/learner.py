@@ -15,23 +15,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 
 from neuroflight.sim.aircraft.model import Aircraft
+from neuroflight.sim.arrays import Array32
 from neuroflight.sim.control.estimator import observed_model
 from neuroflight.sim.control.gyro_filter import samples_per_step
+from neuroflight.sim.control.told import told, told_model
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.errors import TrainingError
-from neuroflight.training.config.pathwise_config import PathwiseConfig
+from neuroflight.toolchain.policy.specialize import BASIS, FEATURES, features, input_factors
+from neuroflight.training.config.pathwise_config import BLOCK, PathwiseConfig
 from neuroflight.training.config.training_config import OBSERVATION_SCALES, TrainingConfig
 from neuroflight.training.learners.network.shape import Shape
 from neuroflight.training.learners.pathwise.basis import Basis, steering
-from neuroflight.training.learners.pathwise.batch import draw_batch
+from neuroflight.training.learners.pathwise.batch import Batch, draw_batch
 from neuroflight.training.learners.pathwise.descent import Good, Setback, State, adapted, descended, guarded
 from neuroflight.training.learners.pathwise.flights import Flights
+from neuroflight.training.learners.pathwise.general import General
 from neuroflight.training.learners.pathwise.loss import LossFigures, Weights
 from neuroflight.training.learners.pathwise.plan import Surroundings
 from neuroflight.training.learners.protocol import Report, named_layers
@@ -51,14 +56,20 @@ class PathwiseLearner:
                 f"pathwise: aircraft {aircraft.name} has rotors with friction "
                 f"(propulsion.response.friction_n_m_s), which its gradient leaves out; train it with ppo"
             )
-        self._delay_s, self._config, self._pathwise = aircraft.propulsion.delay, config, pathwise
-        surroundings = _surroundings(aircraft, config, pathwise)
+        self._aircraft, self._config, self._pathwise = aircraft, config, pathwise
+        self._surroundings = surroundings = _surroundings(aircraft, config, pathwise)
         self._shape = surroundings.shape
         self._basis = Basis(self._shape, surroundings.terms, aircraft.motor_count, steering(aircraft))
+        self._general: General | None = None
+        if config.world.aircraft == "any":
+            self._told = told(aircraft)
+            self._general = General(self._basis, self._shape, surroundings.terms)
         self._flights = Flights(surroundings)
         self._batch_steps = pathwise.aircraft * surroundings.steps
         self._updates = math.ceil(config.steps / self._batch_steps)
         parameters = self._shape.fresh(pathwise.start_output, np.random.default_rng(config.seed))
+        if self._general is not None:
+            parameters = self._general.fresh(parameters)
         weights = Weights(pathwise.square, pathwise.output, pathwise.change, pathwise.closed)
         self._state = State.fresh(parameters, weights)
 
@@ -80,14 +91,42 @@ class PathwiseLearner:
     def _update(self, rng: np.random.Generator) -> LossFigures:
         """Fly a batch and update the policy; returns the batch's figures."""
         state, pathwise = self._state, self._pathwise
-        batch = draw_batch(self._config, pathwise, self._delay_s, rng)
-        parameters = self._basis.network(state.parameters)
-        figures, found = self._flights.gradient(batch, parameters, state.weights)
+        batch = draw_batch(self._config, pathwise, self._aircraft, rng)
+        figures, found = self._gradient(batch)
         adapting = state.updates >= pathwise.adaption_start * self._updates
-        state = descended(state, self._basis.gradient(found), self._rate(), pathwise)
+        state = descended(state, found, self._rate(), pathwise)
         state = adapted(state, figures, pathwise, adapting)
         self._state = guarded(state, figures.error(pathwise.square))
         return figures
+
+    def _gradient(self, batch: Batch) -> tuple[LossFigures, Array32]:
+        """Compute figures of the batch, and the loss's derivatives by what is learned."""
+        state, general = self._state, self._general
+        if general is None:
+            figures, own = self._flights.gradient(batch, self._basis.network(state.parameters), state.weights)
+            return figures, self._basis.gradient(own)
+        known = [told(aircraft) for aircraft in batch.told]
+        flown = [
+            replace(
+                self._surroundings,
+                aircraft=aircraft,
+                model=told_model(aircraft, self._surroundings.terms, self._config.control_rate_hz),
+                shaken=bool(
+                    np.isfinite(batch.variation.vibration[block * BLOCK : (block + 1) * BLOCK]).any()
+                ),
+            )
+            for block, aircraft in enumerate(batch.told)
+        ]
+        networks = [general.network(state.parameters, each) for each in known]
+        figures, each = self._flights.gradients(batch, flown, networks, state.weights)
+        total, longest = np.zeros_like(state.parameters), self._pathwise.gradient_max
+        for own, of in zip(each, known, strict=True):
+            part = general.gradient(own, of)
+            length = math.sqrt(float(np.square(part, dtype=np.float64).sum()))
+            # All have the same say: an aircraft out of control has a gradient a thousand times as long.
+            if math.isfinite(length):
+                total += part * np.float32(longest / max(length, longest))
+        return figures, total
 
     def _rate(self) -> float:
         """Return the learning rate of the next update."""
@@ -120,7 +159,18 @@ class PathwiseLearner:
 
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
-        network = self._basis.network(self._state.parameters)
+        general, learned = self._general, self._state.parameters
+        if general is None:
+            return self._named(self._basis.network(learned))
+        bases = {
+            f"{BASIS}{number}.{name}": part
+            for number, basis in enumerate(general.bases(learned))
+            for name, part in self._named(basis).items()
+        }
+        return self._named(general.network(learned, self._told)) | bases
+
+    def _named(self, network: Array32) -> dict[str, torch.Tensor]:
+        """Name the parameters of a network as freeze knows them."""
         parts = [torch.from_numpy(part.copy()) for part in self._shape.split(network)]
         memory: dict[str, torch.Tensor] = {}
         if self._shape.recurrent != "none":
@@ -172,13 +222,43 @@ class PathwiseLearner:
     def start_from(self, policy: dict[str, torch.Tensor], state: dict[str, Any]) -> None:
         """Begin with the weights of another run's policy, and the loss weights that its limits had led to.
 
-        Raises TrainingError on a policy of another network.
+        An aircraft's run may start from a policy for any, and one for any from an aircraft's. Raises
+        TrainingError on a policy of another network, AircraftError if a general one cannot fly the aircraft.
         """
-        mine = self.policy()
+        general, basis = self._general, self._basis
+        bases = [
+            {name.removeprefix(start): part for name, part in policy.items() if name.startswith(start)}
+            for start in (f"{BASIS}{number}." for number in range(FEATURES))
+        ]
+        if bases[0]:
+            parts = np.stack([self._joined(each) for each in bases])
+            if general is not None:
+                learned = np.concatenate([basis.learned(part) for part in parts])
+            else:
+                network = (features(told(self._aircraft)) @ parts.astype(np.float64)).astype(np.float32)
+                learned = basis.learned(self._counted(network, 1.0))
+        elif general is not None:
+            learned = general.fresh(basis.learned(self._counted(self._joined(policy), -1.0)))
+        else:
+            learned = basis.learned(self._joined(policy))
+        self._state = State.fresh(learned, Weights(**state["weights"]))
+
+    def _joined(self, policy: dict[str, torch.Tensor]) -> Array32:
+        """Return the parameters of a policy. Raises TrainingError if its network is another."""
+        mine = self._named(np.zeros(self._shape.count, np.float32))
         if {name: part.shape for name, part in mine.items()} != {n: p.shape for n, p in policy.items()}:
             raise TrainingError("the policy to start from has another network than the configuration")
-        parts = [policy[name].numpy().astype(np.float32).ravel() for name in mine]
-        self._state = State.fresh(self._basis.learned(np.concatenate(parts)), Weights(**state["weights"]))
+        return np.concatenate([policy[name].numpy().astype(np.float32).ravel() for name in mine])
+
+    def _counted(self, network: Array32, power: float) -> Array32:
+        """Multiply the first layer's columns by this power of the inputs' factors, in place."""
+        factors = input_factors(told(self._aircraft), self._surroundings.terms)
+        self._shape.split(network)[0][:] *= (factors**power).astype(np.float32)
+        return network
+
+    def flown(self, rng: np.random.Generator) -> LossFigures:
+        """Fly a batch with the policy as it is, and return its figures; nothing is learned."""
+        return self._gradient(draw_batch(self._config, self._pathwise, self._aircraft, rng))[0]
 
     def close(self) -> None:
         """See Learner."""

@@ -174,7 +174,10 @@ def test_it_gives_up_and_ends_the_program_when_it_is_not_betaflight(
     assert children() <= before
 
 
-def test_the_line_is_named_when_its_command_line_refuses_it(impostor: Callable[[str], Betaflight]) -> None:
+def test_the_line_is_named_when_its_command_line_refuses_it(
+    impostor: Callable[[str], Betaflight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(betaflight_process, "ANSWER_S", 30.0)  # it does answer, however busy the computer
     before = children()
     with pytest.raises(LinkError, match=r"'###ERROR: NO SUCH THING### #' to 'set small_angle = 180'"):
         BetaflightPort(impostor(SERVING))

@@ -124,7 +124,9 @@ class Case:
             return nominal
         names = ("inertia", "thrust", "torque", "speed", "lag")
         factors = {name: rng.uniform(0.8, 1.2, count) for name in names}
-        return replace(nominal, **factors, delay_s=rng.uniform(0.0, 0.005, count))
+        delay = rng.uniform(0.0, 0.005, count)
+        motors = rng.uniform(0.8, 1.2, nominal.motors.shape)
+        return replace(nominal, **factors, delay_s=delay, motors=motors)
 
     def parameters(self) -> NDArray[np.float32]:
         """Weights of the network; its last layer is `strength` strong."""

@@ -144,7 +144,7 @@ struct plan {
 struct block {
 	/* rows */
 	const real *response;               /* (3), as physics/c/rotor.c takes it */
-	const real *speed;                  /* factor of the speed that a command settles at */
+	const real *speed;                  /* (M), factor of the speed that a command settles at */
 	const real *lift, *drag, *light;    /* factors of thrust, drag torque and all moments, over that of inertia */
 	const real *load;                   /* factor of the drag torque in the battery's power */
 	const real *charge;                 /* state of charge at the start; negative: the bench supply */

@@ -32,11 +32,13 @@ static inline real rotor_target(const struct propulsion *p, real command)
 	return real_fma(real_fma(p->speed_curve[0], command, p->speed_curve[1]), command, p->speed_curve[2]);
 }
 
-/* Factor of the speed that a command settles at. */
-static void rotors_factor(const struct block *b, const real *ratio, real *restrict factor)
+/* Factor of the speed that a command of rotor m settles at. */
+static void rotor_factor(const struct block *b, const real *ratio, size_t m, real *restrict factor)
 {
+	const real *const speed = b->speed + m * LANES;
+
 	FOR_LANES(l)
-		factor[l] = ratio != NULL ? b->speed[l] * ratio[l] : b->speed[l];
+		factor[l] = ratio != NULL ? speed[l] * ratio[l] : speed[l];
 }
 
 void rotors_turn(const struct plan *p, const struct block *b, const struct turning *t, real *restrict after)
@@ -45,11 +47,11 @@ void rotors_turn(const struct plan *p, const struct block *b, const struct turni
 	const real *const first = b->response, *const second = first + LANES, *const third = second + LANES;
 	real factor[LANES];
 
-	rotors_factor(b, t->ratio, factor);
 	for (size_t m = 0; m < p->motors; ++m) {
 		const real *const acting = t->acting + m * LANES, *const before = t->before + m * LANES;
 		real *const next = after + m * LANES, *const gained = t->gained + m * LANES;
 
+		rotor_factor(b, t->ratio, m, factor);
 		FOR_LANES(l) {
 			const real away = rotor_target(own, acting[l]) * factor[l] - before[l];
 			const real change = own->limited ? limited(first[l] * away, -third[l], second[l]) :
@@ -68,13 +70,13 @@ void rotors_turn_back(const struct plan *p, const struct block *b, const struct 
 	const real *const first = b->response, *const second = first + LANES, *const third = second + LANES;
 	real factor[LANES];
 
-	rotors_factor(b, t->ratio, factor);
 	for (size_t m = 0; m < p->motors; ++m) {
 		const real *const acting = t->acting + m * LANES, *const before = t->before + m * LANES;
 		const real *const after = t->after + m * LANES;
 		const real *const by_after = by->after + m * LANES;
 		real *const by_before = by->before + m * LANES, *const by_acting = by->acting + m * LANES;
 
+		rotor_factor(b, t->ratio, m, factor);
 		FOR_LANES(l) {
 			const real away = rotor_target(own, acting[l]) * factor[l] - before[l];
 			const real change = first[l] * away;

@@ -17,6 +17,7 @@
 #define POLICY_SELFTEST_COUNT 16
 #define POLICY_SELFTEST_STEPS 1 /* vectors from one policy_init to the next */
 #define POLICY_OBSERVATION_TERM_COUNT 1
+#define POLICY_MOTOR_CHECK 0 /* 1: nothing arms before motors and gyro were checked (motors_checked) */
 #define POLICY_IDLE 0x0p+0f /* motor fraction of armed motors at zero thrust that it was trained with */
 #define POLICY_SCRATCH_COUNT 24
 #define POLICY_NAME "nf1"

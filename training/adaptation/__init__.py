@@ -1,1 +1,0 @@
-"""Refinement of a policy by what a flight showed, and its proof."""
