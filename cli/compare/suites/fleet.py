@@ -238,11 +238,8 @@ def _absolute_rows(
 def _worst_rows(
     first: Entrant, rivals: Sequence[Entrant], flown: dict[Entrant, Flown], aircraft: Sequence[Unseen]
 ) -> Iterator[tuple[str, ...]]:
-    from neuroflight.training.evaluation.fleet.scaled_pid import (
-        authority,
-        reference_authority,
-        thrust_to_weight,
-    )
+    from neuroflight.sim.design.figures import aircraft_figures
+    from neuroflight.training.evaluation.fleet.scaled_pid import authority, reference_authority
     from neuroflight.training.evaluation.fleet.standings import worst
 
     yield (
@@ -269,7 +266,7 @@ def _worst_rows(
         yield (
             f"{one.name}{' LOST' if own.lost else ''}",
             f"{1000 * one.build.weight_kg:.0f}",
-            f"{thrust_to_weight(one.truth):.1f}",
+            f"{aircraft_figures(one.truth).thrust_to_weight:.1f}",
             "/".join(f"{part:.2g}" for part in parts),
             f"{1e3 * response.time_constant_up:.0f}/{1e3 * response.time_constant_down:.0f}",
             f"{1e3 * drive.delay:.1f}",
@@ -284,13 +281,10 @@ def _worst_rows(
 
 def _document(flown: dict[Entrant, Flown], aircraft: Sequence[Unseen]) -> dict[str, Any]:
     """Return everything as JSON data."""
+    from neuroflight.sim.design.figures import aircraft_figures
     from neuroflight.training.evaluation.fleet.arena import KINDS
     from neuroflight.training.evaluation.fleet.builds import kinds
-    from neuroflight.training.evaluation.fleet.scaled_pid import (
-        authority,
-        reference_authority,
-        thrust_to_weight,
-    )
+    from neuroflight.training.evaluation.fleet.scaled_pid import authority, reference_authority
     from neuroflight.training.evaluation.fleet.standings import EVERY, ratios
 
     first, *rivals = flown
@@ -302,7 +296,7 @@ def _document(flown: dict[Entrant, Flown], aircraft: Sequence[Unseen]) -> dict[s
                 "weight_kg": one.build.weight_kg,
                 "authority": (authority(one.truth) / reference_authority()).tolist(),
                 "told_authority": (authority(one.told) / reference_authority()).tolist(),
-                "thrust_to_weight": thrust_to_weight(one.truth),
+                "thrust_to_weight": aircraft_figures(one.truth).thrust_to_weight,
                 "motors": list(one.shares),
                 "charge": one.charge,
             }

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import tomllib
-from pathlib import Path
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from neuroflight.sim.aircraft.model import (
     Aircraft,
     FirstOrderResponse,
     aircraft_file,
-    parse_aircraft,
 )
 from neuroflight.sim.aircraft.props_out import SUFFIX
 from neuroflight.sim.identification.fit.model import shaped
@@ -226,11 +224,6 @@ def with_marks(text: str, marks: dict[str, Known]) -> str:
     found = [*lines, *([""] if lines and lines[-1].strip() else []), "[known]", *kept]
     found += [known_line(key, mark) for key, mark in marks.items()]
     return newline.join(found) + newline
-
-
-def fitted_aircraft(text: str, where: str) -> Aircraft:
-    """Parse a fitted file's text as one that lies at `where`. Raises AircraftError."""
-    return parse_aircraft(text.encode(), where, Path(where).parent)
 
 
 def _rounded(value: float) -> float:

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from neuroflight.sim.analysis.metrics import CHANGE_S
 from neuroflight.sim.arrays import Array
+from neuroflight.sim.design.figures import aircraft_figures
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GRAVITY, GYRO_RATE_DEFAULT_HZ
 from neuroflight.training.evaluation.controllers import AnyController, Conditions
 from neuroflight.training.evaluation.evaluation import Event, Flights
-from neuroflight.training.evaluation.fleet.scaled_pid import thrust_to_weight
 from neuroflight.training.evaluation.fleet.unseen import Unseen
 from neuroflight.training.evaluation.robustness import DIVERGED_DRIFT, DIVERGED_FLOOR, DIVERGED_RATE
 from neuroflight.training.tasks.flight import FlightTask
@@ -93,7 +93,7 @@ class Plan:
 
 def levels(aircraft: Unseen) -> tuple[float, ...]:
     """Return the thrusts of its pulses, of the weight: those it has room above."""
-    most = ROOM * thrust_to_weight(aircraft.truth)
+    most = ROOM * aircraft_figures(aircraft.truth).thrust_to_weight
     found = tuple(level for level in LEVELS if level <= most)
     return found if max(found) >= 1.0 else (LEVELS[0], most)
 
@@ -204,7 +204,8 @@ def _wash(
 
 def _able(aircraft: Unseen, thrust: float) -> float:
     """Return a thrust of the wash, or what the aircraft can give instead."""
-    return min(thrust, round(ROOM * thrust_to_weight(aircraft.truth), 3)) if thrust > 1.0 else thrust
+    most = round(ROOM * aircraft_figures(aircraft.truth).thrust_to_weight, 3)
+    return min(thrust, most) if thrust > 1.0 else thrust
 
 
 def _figures(
@@ -267,7 +268,7 @@ def _throttles(
     resting = replace(conditions, task=still, episodes=len(wanted))
     roots = np.sqrt(np.array(wanted))
     zero = -idle / (1.0 - idle)  # throttle of standing rotors
-    throttle = zero + roots / np.sqrt(thrust_to_weight(aircraft)) * (1.0 - zero)
+    throttle = zero + roots / np.sqrt(aircraft_figures(aircraft).thrust_to_weight) * (1.0 - zero)
     best = throttle = np.clip(throttle, 0.0, 1.0)
     got = np.full(len(wanted), np.inf)
     for _ in range(ROUNDS):

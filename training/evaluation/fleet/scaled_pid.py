@@ -6,7 +6,6 @@ proportion of authority the loop of another aircraft is the NF1's again, but for
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import cache
 
@@ -16,7 +15,8 @@ from neuroflight.sim.aircraft.model import Aircraft, PidSettings, load_aircraft
 from neuroflight.sim.arrays import Array
 from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.control.pid_table import mixer, pid_settings
-from neuroflight.toolchain.contract import GRAVITY
+from neuroflight.sim.design.figures import aircraft_figures, thrust_map
+from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
 from neuroflight.training.evaluation.controllers import PID_RATE_HZ, ControllerSpec
 
 SCALED = "pid:scaled"
@@ -52,50 +52,16 @@ def authority(aircraft: Aircraft) -> Array:
 
     In the mixer's senses, all positive. Where all commands together do not lift it, at full command.
     """
-    drive, shares, motors = aircraft.propulsion, mixer(aircraft), aircraft.motor_count
-    wanted = aircraft.mass_properties.mass * GRAVITY / motors
-    u = hover_command(aircraft)
+    drive, hover = aircraft.propulsion, aircraft_figures(aircraft).hover
+    command = 1.0 if hover is None else float(hover.throttle.mean())
+    speed = float(target_speed(command, drive))
     a, b, _ = drive.speed_curve
-    speed = max(speed_at(aircraft, u), 1e-3)
-    steep = wanted / speed * 2.0 if u < 1.0 else 2.0 * _thrust(aircraft, speed) / speed  # [N s/rad]
-    newtons = steep * (2.0 * a * u + b)  # a motor's thrust a unit of its command
-    x, y = aircraft.rotor_positions[:, :2].T
-    moments = np.stack([y, -x, -aircraft.spins * _value(drive.torque_ratio, speed)])  # a newton of each rotor
-    turned = np.linalg.solve(aircraft.mass_properties.inertia, newtons * moments @ shares)
+    thrust, torque = (float(load) for load in thrust_and_torque(speed, drive))
+    newtons = 2.0 * thrust / max(speed, 1e-3) * (2.0 * a * command + b)  # of a motor a unit of its command
+    moments = thrust_map(aircraft, np.full(aircraft.motor_count, torque / thrust))[1:]
+    turned = np.linalg.solve(aircraft.mass_properties.inertia, newtons * moments @ mixer(aircraft))
     found: Array = np.abs(np.diag(turned))
     return found
-
-
-def hover_command(aircraft: Aircraft) -> float:
-    """Return the motor fraction that carries the weight at the supply's voltage; 1 if none does."""
-    wanted = aircraft.mass_properties.mass * GRAVITY / aircraft.motor_count
-    low, high = 0.0, 1.0
-    for _ in range(50):
-        middle = (low + high) / 2
-        low, high = (
-            (middle, high) if _thrust(aircraft, speed_at(aircraft, middle)) < wanted else (low, middle)
-        )
-    return high
-
-
-def thrust_to_weight(aircraft: Aircraft) -> float:
-    """Return the thrust of all rotors at full command over the weight, at the supply's voltage."""
-    full = aircraft.motor_count * _thrust(aircraft, speed_at(aircraft, 1.0))
-    return full / (aircraft.mass_properties.mass * GRAVITY)
-
-
-def speed_at(aircraft: Aircraft, command: float) -> float:
-    """Return the speed [rad/s] that a motor command settles at."""
-    a, b, c = aircraft.propulsion.speed_curve
-    return min(a * command**2 + b * command + c, aircraft.propulsion.speed_max)
-
-
-def _thrust(aircraft: Aircraft, speed: float) -> float:
-    return _value(aircraft.propulsion.thrust_coefficient, speed) * speed**2
-
-
-def _value(polynomial: tuple[float, ...], speed: float) -> float:
-    return math.fsum(term * speed**power for power, term in enumerate(polynomial))
 
 
 @cache

@@ -10,6 +10,7 @@ import pytest
 
 from neuroflight.sim.aircraft.model import load_aircraft
 from neuroflight.sim.control.pid import aircraft_pid
+from neuroflight.sim.design.figures import aircraft_figures
 from neuroflight.toolchain.errors import TrainingError
 from neuroflight.training.evaluation.controllers import ControllerSpec
 from neuroflight.training.evaluation.fleet import contest
@@ -17,7 +18,7 @@ from neuroflight.training.evaluation.fleet.answered import answered
 from neuroflight.training.evaluation.fleet.arena import Figures, Plan, levels, meet
 from neuroflight.training.evaluation.fleet.builds import builds, kinds
 from neuroflight.training.evaluation.fleet.contest import Entrant, fly_all
-from neuroflight.training.evaluation.fleet.scaled_pid import SCALED, authority, scaled_pid, thrust_to_weight
+from neuroflight.training.evaluation.fleet.scaled_pid import SCALED, authority, scaled_pid
 from neuroflight.training.evaluation.fleet.standings import ratios
 from neuroflight.training.evaluation.fleet.unseen import MOTORS_DIFFER, Unseen, fleet
 
@@ -44,7 +45,7 @@ def test_rows_are_of_all_classes_and_say_where_they_are_from() -> None:
 
 
 def test_every_aircraft_lifts_itself_with_room_to_steer(aircraft: list[Unseen]) -> None:
-    lifts = [thrust_to_weight(one.truth) for one in aircraft]
+    lifts = [aircraft_figures(one.truth).thrust_to_weight for one in aircraft]
     assert min(lifts) > 2.0
     assert max(lifts) < 25.0
     assert all(max(levels(one)) < 0.7 * lift for one, lift in zip(aircraft, lifts, strict=True))
