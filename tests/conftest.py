@@ -58,7 +58,6 @@ def pytest_configure() -> None:
 def pytest_collection_finish() -> None:
     """The collector need not look through the tests again, of which there are thousands."""
     gc.enable()
-    gc.collect()
     gc.freeze()
 
 

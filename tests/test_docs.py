@@ -66,14 +66,14 @@ def mentions() -> list[tuple[str, str]]:
     return sorted({(page.name, words) for page in PAGES for words in QUOTED.findall(page.read_text())})
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_to_files_and_headings(page: Path) -> None:
+def test_links_lead_to_files_and_headings() -> None:
+    found = {page: anchors(page) for page in PAGES}
     lost = []
     for where, target in links():
         name, _, heading = target.partition("#")
-        file = where.parent / name if name else where
-        if where == page and not (file.exists() and (not heading or heading in anchors(file))):
-            lost.append(target)
+        file = (where.parent / name).resolve() if name else where
+        if not file.exists() or (heading and heading not in found[file]):
+            lost.append((where.name, target))
     assert not lost
 
 
@@ -109,9 +109,9 @@ def test_the_search_answers_on_a_page_that_is_opened_from_a_file(site: Path) -> 
         browser.close()
 
 
-@pytest.mark.parametrize(("page", "words"), commands("neuroflight"))
-def test_a_printed_command_is_understood(page: str, words: str) -> None:
-    parse(shlex.split(words))  # ends the process where it is not
+def test_printed_commands_are_understood() -> None:
+    for _, words in commands("neuroflight"):
+        parse(shlex.split(words))  # ends the process where it is not, with a line that quotes the words
 
 
 @pytest.mark.parametrize(("page", "words"), commands("make"))
@@ -122,16 +122,19 @@ def test_a_printed_target_calls_commands_that_are_understood(page: str, words: s
         parse(shlex.split(call))
 
 
-@pytest.mark.parametrize(("page", "words"), mentions())
-def test_a_command_in_a_sentence_has_words_and_options_that_are_known(page: str, words: str) -> None:
-    line, _ = tree.rewritten(words.split())
-    command, rest = tree.find(line)
-    if command:
-        named = re.findall(r"(?<![\w-])--[a-z][\w-]*", " ".join(rest))
-        known = tree.leaf_parser(command, rest)
-        assert set(named) <= set(known._option_string_actions), words
-    else:
-        assert " ".join(word for word in line if WORD.fullmatch(word)) in ("", *tree.NOUNS), words
+def test_a_command_in_a_sentence_has_words_and_options_that_are_known() -> None:
+    wrong = []
+    for page, words in mentions():
+        line, _ = tree.rewritten(words.split())
+        command, rest = tree.find(line)
+        if command:
+            named = re.findall(r"(?<![\w-])--[a-z][\w-]*", " ".join(rest))
+            known = set(named) <= set(tree.leaf_parser(command, rest)._option_string_actions)
+        else:
+            known = " ".join(word for word in line if WORD.fullmatch(word)) in ("", *tree.NOUNS)
+        if not known:
+            wrong.append((page, words))
+    assert not wrong
 
 
 def test_pages_have_links_and_commands() -> None:
@@ -153,16 +156,15 @@ def test_the_readme_is_short_and_its_first_command_needs_no_board() -> None:
     assert first == "make fly" and len(text.partition("```\n")[0].split()) < 200
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_a_file_that_a_page_names_is_there(page: Path) -> None:
-    named = set(FILE.findall(page.read_text()))
-    assert not {name for name in named if not (ROOT / name).exists()}
+def test_files_that_pages_name_are_there() -> None:
+    named = {(page.name, name) for page in PAGES for name in FILE.findall(page.read_text())}
+    assert not {(page, name) for page, name in named if not (ROOT / name).exists()}
 
 
-@pytest.mark.parametrize("page", DECISIONS, ids=lambda page: page.name)
-def test_a_decision_is_short_and_its_page_indexed(page: Path) -> None:
-    entries = page.read_text().split("\n## ")[1:]
-    long = [entry.partition("\n")[0] for entry in entries if len(entry.strip().splitlines()) > 9]
-    wide = [line for line in page.read_text().splitlines() if len(line) > 120]
-    index = page.with_name("index.md").read_text()
-    assert entries and not long and not wide and f"({page.name})" in index
+def test_decisions_are_short_and_their_pages_indexed() -> None:
+    for page in DECISIONS:
+        entries = page.read_text().split("\n## ")[1:]
+        long = [entry.partition("\n")[0] for entry in entries if len(entry.strip().splitlines()) > 9]
+        wide = [line for line in page.read_text().splitlines() if len(line) > 120]
+        index = page.with_name("index.md").read_text()
+        assert entries and not long and not wide and f"({page.name})" in index, page.name

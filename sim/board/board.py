@@ -125,7 +125,7 @@ class Hardware:
         for companion in (self.otg, self.usb, self.usb_host):
             self.registers.accompany(self.otg.core, companion)
         self.registers.attach(engine)
-        for name, polled in POLLED.items():
+        for name, polled in {**POLLED, "FLASH": ("SR",)}.items():
             self.registers.keep_answers(self.registers.devices[name], *polled)
         if line is not None:
             name = f"the gyro's data-ready edge (EXTI{line})"

@@ -77,6 +77,7 @@ def start(image: Path) -> Iterator[Callable[..., Running]]:
         one.end()
 
 
+@pytest.mark.slow
 def test_settings_are_there_in_the_next_run_when_flash_is_kept(
     start: Callable[..., Running], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -126,6 +127,7 @@ def test_it_says_so_when_both_ends_run_at_different_speeds(start: Callable[..., 
     assert board.interrupt()[0] == 0
 
 
+@pytest.mark.slow
 def test_uart3_is_a_second_port_when_it_was_set_so_and_refused_before(
     start: Callable[..., Running], image: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -54,6 +54,7 @@ def test_run_repeats_itself_when_the_seed_is_the_same(
     assert one == same != other
 
 
+@pytest.mark.slow
 def test_repeats_are_runs_of_one_log_with_intervals_when_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

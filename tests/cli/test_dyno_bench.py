@@ -108,6 +108,7 @@ def test_the_rotor_is_found_again_when_it_was_driven_at_full_throttle(
     check_rotor(fitted(capsys, out), 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     [
@@ -149,6 +150,7 @@ def test_the_dissertations_experiment_gives_the_rotor_when_it_is_repeated(
 
 
 # --- Interrupted and resumed --------------------------------------------------------------------------
+@pytest.mark.slow
 def test_finished_runs_stay_and_the_others_follow_when_it_was_interrupted(
     rig_of: Callable[..., Rig], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

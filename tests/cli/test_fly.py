@@ -20,6 +20,7 @@ from neuroflight.toolchain.image.report import AircraftFacts
 from tests.conftest import BUILD, build_kept
 from tests.modelled_policy import modelled_policy
 from tests.refusal import refused
+from tests.sampling import sampled
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -38,7 +39,7 @@ def short(tmp_path: Path) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("port", ["reference", "host"])
+@pytest.mark.parametrize("port", sampled(["reference", "host"], "host"))
 @pytest.mark.usefixtures("built")
 def test_it_prints_both_figures_and_writes_the_files_when_all_is_well(
     port: str, short: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -117,6 +118,7 @@ def test_it_flies_the_aircraft_of_the_build_and_says_that_its_policy_was_refused
     assert f"aircraft '{own}': no such file" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("built")
 def test_telemetry_of_each_esc_is_kept_and_drawn_when_asked_for(
     short: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -145,6 +147,7 @@ def test_json_carries_the_same_flight_when_asked_for(short: str, capsys: pytest.
         assert flight["armed"] == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("built")
 def test_the_firmwares_pid_flies_as_the_pythons_when_the_pilot_chooses_it(
     short: str, capsys: pytest.CaptureFixture[str]
@@ -208,6 +211,7 @@ def test_it_says_how_to_build_when_nothing_is_built(
     assert not (tmp_path / "a.npz").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("built")
 def test_a_flight_is_at_hover_unless_the_pilot_says_another_throttle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -161,6 +161,7 @@ def test_a_card_that_is_none_is_refused_in_one_line(
     assert f"card {card}: {message}" in err
 
 
+@pytest.mark.slow
 def test_the_escs_name_dshot_at_another_speed_than_they_are_set_to(fly: Command) -> None:
     assert fly("--set", "motor_protocol=dshot300")[0] == 0
     assert fly("--esc", "dshot600")[0] == 0
@@ -242,6 +243,7 @@ def test_trace_and_profile_keep_what_was_flown_when_the_flight_ends_in_an_error(
     assert f"{profile}: tasks.txt" in err
 
 
+@pytest.mark.slow
 def test_the_profile_of_the_boot_is_kept_when_the_image_does_not_boot(
     fly: Command, board_image: Path, tmp_path: Path
 ) -> None:
@@ -261,6 +263,7 @@ def test_the_profile_of_the_boot_is_kept_when_the_image_does_not_boot(
     assert not trace.exists(), "nothing was flown"
 
 
+@pytest.mark.slow
 def test_the_error_stays_the_error_when_the_trace_cannot_be_written(
     fly: Command, starving: Path, second: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -278,6 +281,7 @@ def test_the_error_stays_the_error_when_the_trace_cannot_be_written(
     assert "watchdog" in err.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_told_to(
     fly: Command, client: Any, tmp_path: Path
 ) -> None:
@@ -299,6 +303,7 @@ def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_to
     assert np.rad2deg(load_trace(trace).setpoint[50]) == pytest.approx([25.0, 0.0, 0.0], abs=0.01)
 
 
+@pytest.mark.slow
 def test_it_flies_while_clients_ask_on_both_uarts_when_told_to(fly: Command, client: Any) -> None:
     heard: list[str] = []
 

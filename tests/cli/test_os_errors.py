@@ -136,6 +136,7 @@ def test_a_command_ends_at_once_when_its_input_never_does(
     refused(capsys, [word.format(pipe=pipe) for word in words])
 
 
+@pytest.mark.slow
 def test_a_second_training_is_refused_when_the_first_runs(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

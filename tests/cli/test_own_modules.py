@@ -96,6 +96,7 @@ def test_the_page_has_a_file_of_each_kind() -> None:
     assert list(files()) == wanted
 
 
+@pytest.mark.slow
 def test_the_whole_way_from_the_users_folder(folder: Path) -> None:
     """A reward, a controller and an aircraft from outside the repository, trained and compared."""
     lines = section("The whole way")
@@ -127,6 +128,7 @@ def test_the_whole_way_as_printed_ends_in_an_image(folder: Path) -> None:
     assert json.loads(told)["policy"]["aircraft"] == "my_quad"
 
 
+@pytest.mark.slow
 def test_an_observation_of_the_users_is_part_of_the_compiled_policy(folder: Path) -> None:
     [run, _] = section("An observation")
     typed(section("The whole way")[0], folder)

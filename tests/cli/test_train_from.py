@@ -80,9 +80,9 @@ def architecture(data: bytes) -> int:
 
 
 def test_a_refined_policy_is_of_the_other_aircraft_and_fits_the_slot_of_the_old_one(
-    heavy: Path, pulling: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    heavy: Path, pulling: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    out, again = tmp_path / "mine", tmp_path / "again"
+    out = tmp_path / "mine"
     assert main(words(heavy, pulling, out)) == 0
     told = capsys.readouterr().out
     assert f"neuroflight board policy swap {out / 'policy.onnx'} --other-aircraft" in told
@@ -100,7 +100,14 @@ def test_a_refined_policy_is_of_the_other_aircraft_and_fits_the_slot_of_the_old_
     assert proof["refused"] is None and proof["gain"]["low"] > 0.0 and proof["flights"] == 4
     assert proof["aircraft_sha256"] == load_aircraft(heavy).sha256
 
-    # The same run, interrupted and resumed.
+
+@pytest.mark.slow
+def test_a_refinement_is_the_same_when_it_was_interrupted_and_resumed(
+    heavy: Path, pulling: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, again = tmp_path / "mine", tmp_path / "again"
+    assert main(words(heavy, pulling, out)) == 0
+
     def stop(self: Display, progress: Progress) -> None:
         if progress.steps > 2000:
             raise KeyboardInterrupt

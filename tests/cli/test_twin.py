@@ -60,6 +60,7 @@ def test_figures_and_what_bias_means_are_printed_when_no_json_is_asked_for(
     assert "bias_deg_s is the spread of a bias" in out
 
 
+@pytest.mark.slow
 def test_aircraft_takes_the_noise_and_keeps_the_rest_when_written(log: Path, tmp_path: Path) -> None:
     path, plot = tmp_path / "own.toml", tmp_path / "noise.png"
     path.write_bytes(NF1)

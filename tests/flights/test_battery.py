@@ -148,6 +148,7 @@ GOOD, WARNING, CRITICAL = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("charge", "told"),
     [

@@ -29,6 +29,7 @@ from neuroflight.sim.ports.port import FirmwarePort, Sample
 from neuroflight.sim.ports.python_controller import ControllerPort
 from neuroflight.toolchain.contract import MSP_TCP_PORT
 from neuroflight.toolchain.errors import LinkError
+from tests.sampling import sampled
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3))
@@ -63,7 +64,7 @@ def test_a_flight_repeats_bit_for_bit_when_flown_again(betaflight: Betaflight, f
     assert not first.same(flown(BetaflightPort(betaflight, 2000), TURN, seed=4))
 
 
-@pytest.mark.parametrize("gyro_rate_hz", [1000, 8000])
+@pytest.mark.parametrize("gyro_rate_hz", sampled([1000, 8000], 1000))
 def test_each_sample_is_answered_once_when_it_has_booted(betaflight: Betaflight, gyro_rate_hz: int) -> None:
     with closing(BetaflightPort(betaflight, gyro_rate_hz)) as port:
         answers = []

@@ -41,6 +41,7 @@ def change(flights: Flights, rows: slice) -> float:
     return float(np.abs(np.diff(flights.motors[rows], axis=1)).mean())
 
 
+@pytest.mark.slow
 def test_settings_of_a_file_reach_the_pid_and_the_idle(betaflight: Betaflight, tmp_path: Path) -> None:
     path = tmp_path / "mine.txt"
     path.write_text("set p_roll = 90\nset d_roll = 0\nset d_max_roll = 0\nset motor_idle = 800\n")
@@ -80,6 +81,7 @@ def test_what_betaflight_refuses_is_told_with_its_line(
         ArmedBetaflight(betaflight, NF1, read_tune(path))
 
 
+@pytest.mark.slow
 def test_betaflight_takes_every_setting_of_the_search_at_both_ends(betaflight: Betaflight) -> None:
     low, high = np.full(len(KNOBS), -9.0), np.full(len(KNOBS), 9.0)
     assert decoded(start())["p_roll"] == 45

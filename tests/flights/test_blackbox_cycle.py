@@ -213,6 +213,7 @@ def assert_replays(
     assert told["steps"] == len(read_log(log).columns["time"])
 
 
+@pytest.mark.slow
 def test_a_troubled_flight_of_the_board_is_replayed_to_the_bit(
     logged: Fly, story: str, host_program: Path, board_image: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -51,6 +51,7 @@ def stamped(board_image: Path, folder: Path, gyro_file: bytes) -> Path:
     return flat(elf)
 
 
+@pytest.mark.slow
 def test_it_flies_the_librarys_bits_when_the_image_has_its_makers_file(
     board_image: Path, reference_library: Path, tmp_path: Path
 ) -> None:
@@ -64,6 +65,7 @@ def test_it_flies_the_librarys_bits_when_the_image_has_its_makers_file(
 OTHERS = {"none": b"", "another": bytes.fromhex("c82e002f").ljust(328, b"\1")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gyro_file", sampled(list(OTHERS), "another"))
 def test_no_sample_comes_without_the_file_or_with_another(
     board_image: Path, tmp_path: Path, gyro_file: str

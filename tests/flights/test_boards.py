@@ -91,7 +91,7 @@ def flat(elf: Path) -> Path:
     return out
 
 
-@pytest.mark.parametrize("name", sampled(list(CLASSES), "MAMBAF722_X8", "LUXAIO"))
+@pytest.mark.parametrize("name", sampled(list(CLASSES), "LUXAIO"))
 def test_the_code_flies_the_bits_of_the_host_program_on_a_board_of_each_class(
     stamped: Stamped, reference_library: Path, flown: Flown, name: str
 ) -> None:
@@ -107,6 +107,7 @@ def on_host(library: Path, turn: Turn) -> ReferencePort:
     return on_turned_board(ReferencePort(library, settings=turns), turn)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sampled([b.name for b in boards().values() if any(b.turn_deg)], "RUSHF7AIO"))
 def test_the_aircraft_does_as_it_is_told_when_its_maker_turns_the_board(
     board_image: Path, stamped: Stamped, tmp_path: Path, reference_library: Path, flown: Flown, name: str
@@ -159,6 +160,7 @@ def with_two_gyros() -> list[str]:
     return [one.board.name for one in served if one.gyros[1:] and one.gyros[1].spi != 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sampled(with_two_gyros(), "ALIENFLIGHTNGF7_DUAL"))  # on a bus of its own
 def test_the_second_gyro_of_a_board_is_read_when_it_is_chosen(stamped: Stamped, name: str) -> None:
     board, image = find_board(name), stamped(find_board(name))
@@ -209,6 +211,7 @@ def test_an_image_fails_when_its_table_is_not_the_boards(
         flown(EmulatedPort(image, receiver=2), part())  # wired to where it belongs
 
 
+@pytest.mark.slow
 def test_a_motor_stands_when_the_table_has_another_pin_for_it(
     board_image: Path, tmp_path: Path, flown: Flown
 ) -> None:

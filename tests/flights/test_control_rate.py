@@ -98,6 +98,7 @@ def test_the_board_flies_a_2_khz_policy_like_the_computer_in_time_and_to_the_end
     assert board.missed == 0
 
 
+@pytest.mark.slow
 def test_a_policy_that_leaves_errors_unanswered_is_told_at_2_khz_too(
     builds: Callable[[str, str], Path], flown: Flown
 ) -> None:

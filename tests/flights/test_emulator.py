@@ -29,7 +29,6 @@ from neuroflight.sim.ports.receiver_frames import crsf_frame
 from neuroflight.toolchain.contract import FLASH_BANK_B
 from neuroflight.toolchain.errors import BuildError, LinkError
 from tests.firmware.board.banks import RUN_WELL, compose, read_build
-from tests.sampling import sampled
 
 Flown = Callable[..., Trace]
 BUSY = Scenario(
@@ -46,6 +45,7 @@ def image(board_image: Path) -> Path:
     return board_image.with_suffix(".bin")
 
 
+@pytest.mark.slow
 def test_crsf_at_another_gyro_rate_flies_the_same_bits_when_the_image_is_set_so(
     image: Path, reference_library: Path, flown: Flown
 ) -> None:
@@ -114,6 +114,7 @@ def test_a_switch_that_is_on_since_power_up_arms_nothing_until_it_was_off(image:
         assert arms(0.1, on=True)
 
 
+@pytest.mark.slow
 def test_a_frame_is_refused_when_it_was_not_announced_in_time(image: Path) -> None:
     channels = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False).tolist()
     port = EmulatedPort(image)
@@ -139,6 +140,7 @@ def test_it_says_why_when_the_image_is_missing(tmp_path: Path) -> None:
         EmulatedPort(tmp_path / "neuroflight.bin")
 
 
+@pytest.mark.slow
 def test_variables_are_found_by_name_or_named_when_they_are_not_there(board_image: Path) -> None:
     whole, step, dshot = read_variables(
         board_image, *(f"firmware.status.trace{field}" for field in ("", ".step", ".dshot"))
@@ -184,7 +186,8 @@ class OnTheChipsGrid(ReferencePort):
 PLAIN = [kind for kind in GYROS if kind != "bmi270"]  # that need no file
 
 
-@pytest.mark.parametrize("chip", sampled(PLAIN, "icm20689", "lsm6dsv16x"))
+@pytest.mark.slow
+@pytest.mark.parametrize("chip", PLAIN)
 def test_every_gyro_chip_flies_the_same_bits_when_the_pilot_has_said_how_it_is_turned(
     image: Path, reference_library: Path, flown: Flown, chip: str
 ) -> None:

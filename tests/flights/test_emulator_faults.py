@@ -193,6 +193,7 @@ def acknowledge(still: Still) -> None:
     still.fly(0.1, armed=False)
 
 
+@pytest.mark.slow
 def test_it_arms_again_in_the_field_when_the_pilot_acknowledges_the_fault_by_sticks(
     drill: Drill, started: tuple[Still, Any]
 ) -> None:
@@ -221,6 +222,7 @@ def assert_stops(
     assert boot.what == "the firmware has booted and reads its gyro"
 
 
+@pytest.mark.slow
 def test_stop_frames_follow_the_reset_when_the_program_hangs(
     drill: Drill, started: tuple[Still, Any]
 ) -> None:
@@ -229,6 +231,7 @@ def test_stop_frames_follow_the_reset_when_the_program_hangs(
     assert "FAULT" in started[0].port.arming_reasons()
 
 
+@pytest.mark.slow
 def test_stop_frames_follow_the_reset_when_the_processor_faults(image: Path) -> None:
     still = take_off(image, "processor-fault@0.01")
     replies = still.fly(0.5)
@@ -270,6 +273,7 @@ def test_no_fault_is_told_when_the_reset_line_is_pulled_with_the_motors_stopped(
     assert "FAULT" not in still.port.arming_reasons()
 
 
+@pytest.mark.slow
 def test_no_fault_is_told_when_the_supply_dips_with_the_motors_stopped(started: tuple[Still, Any]) -> None:
     still, moment = started
     still.restore(moment, "brown-out@0.3")  # the detector is off, as the chip is delivered
@@ -334,6 +338,7 @@ def test_lost_samples_are_missed_deadlines_and_time_goes_on_when_the_processor_i
     assert stats[Task.GYRO]["misses"] >= 1000 * steps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slow_s", sampled([0.00095, 0.0012, 0.0017], 0.0012))
 def test_the_background_has_its_share_when_a_control_step_takes_as_long_as_its_period(
     drill: Drill, started: tuple[Still, Any], board_image: Path, slow_s: float

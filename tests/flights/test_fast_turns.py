@@ -50,6 +50,7 @@ def test_it_stays_armed_and_returns_when_it_turns_faster_than_its_gyro_can_tell(
     assert true[-100:].max() < 30
 
 
+@pytest.mark.slow
 def test_a_saturated_gyro_is_flown_with_the_same_bits_on_library_host_and_board(
     reference_library: Path, host_program: Path, board_image: Path, flown: Callable[..., Trace]
 ) -> None:

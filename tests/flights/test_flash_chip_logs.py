@@ -67,6 +67,7 @@ def content(path: Path, name: str) -> dict[int, bytes]:
     return logs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sampled([NOR, NAND], NOR))
 def test_the_log_on_the_chip_is_the_flight(built: Built, tmp_path: Path, name: str) -> None:
     chip = tmp_path / "chip.bin"

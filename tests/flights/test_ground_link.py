@@ -254,6 +254,7 @@ def test_a_stream_tells_the_flight_to_the_bit_when_the_line_is_fast(
         assert grounded and all(r.observation == r.action == () for r in grounded)
 
 
+@pytest.mark.slow
 def test_gaps_are_told_and_all_else_is_whole_when_the_line_is_too_slow_for_the_stream(
     quiet: Flight, fly_board: FlyBoard
 ) -> None:

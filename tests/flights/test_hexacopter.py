@@ -81,6 +81,7 @@ def test_six_reversed_motors_fly_when_set_so(built: Path, tmp_path: Path, scenar
     assert np.degrees(error.mean()) < 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", sampled(["dshot300", "dshot600"], "dshot300"))
 def test_the_command_flies_six_motors_on_the_board_at_either_speed_of_dshot(
     built: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], speed: str

@@ -77,6 +77,7 @@ def test_the_image_flies_the_bits_of_the_host_build_for_a_minute(
     assert flown(ReferencePort(reference_library), scenario, seed=5).same(on_board)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "phase_us",
     [pytest.param(us, marks=[] if us == 60 else [pytest.mark.slow]) for us in range(0, 125, 4)],
@@ -166,6 +167,7 @@ def test_a_flight_goes_on_identically_when_its_middle_is_restored(recorded: Reco
     assert facts(recorded) == first
 
 
+@pytest.mark.slow
 def test_a_flight_is_the_same_when_its_control_tasks_are_counted_on_another_board(
     recorded: RecordedPort, image: Path
 ) -> None:

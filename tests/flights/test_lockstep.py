@@ -14,6 +14,7 @@ from neuroflight.sim.ports.host import HostPort
 from neuroflight.sim.ports.library import ReferencePort
 from neuroflight.sim.ports.python_controller import ControllerPort
 from neuroflight.toolchain.policy.model import read_policy
+from tests.sampling import sampled
 
 Flown = Callable[..., Trace]
 BUSY = Scenario(
@@ -59,7 +60,8 @@ def test_crsf_flies_the_same_bits_as_sbus_on_the_host(
     assert flown(by_crsf, BUSY).same(flown(ReferencePort(reference_library), BUSY))
 
 
-@pytest.mark.parametrize("standing", [False, True], ids=["in the air", "on the ground"])
+@pytest.mark.slow
+@pytest.mark.parametrize("standing", sampled([False, True], True), ids=["in the air", "on the ground"])
 def test_the_toolchains_interpreter_flies_the_compiled_policys_bits_when_behind_the_port(
     shipped_policy: Path, reference_library: Path, flown: Flown, standing: bool
 ) -> None:

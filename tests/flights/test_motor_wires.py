@@ -114,7 +114,7 @@ def frames_of(bench: Bench, seconds: float, motor: int = 0) -> list[Frame]:
 
 
 @pytest.mark.parametrize("gyro_hz", sampled((8000, 4000, 1000), 8000))
-@pytest.mark.parametrize("speed", SPEEDS)
+@pytest.mark.parametrize("speed", sampled(SPEEDS, 600))
 def test_words_of_the_escs_reach_the_control_step(bench: Benches, speed: int, gyro_hz: int) -> None:
     with bench(speed, gyro_hz) as board:
         for esc, word in zip(board.escs, WORDS, strict=True):
@@ -147,6 +147,7 @@ FAULTS: dict[str, tuple[AnswerFaults, int]] = {  # and how many of 50 answers ar
 }
 
 
+@pytest.mark.slow
 def test_an_esc_that_answers_badly_holds_up_no_frame_and_no_other_motor(bench: Benches) -> None:
     with bench() as board:
         for esc, word in zip(board.escs, WORDS, strict=True):
@@ -176,7 +177,7 @@ def test_an_esc_that_never_answers_gets_its_frames(bench: Benches) -> None:
         assert min(esc.frames for esc in board.escs) > 400 and board.restarts == 0
 
 
-@pytest.mark.parametrize("speed", SPEEDS)
+@pytest.mark.parametrize("speed", sampled(SPEEDS, 300))
 def test_a_command_is_told_as_often_as_needed_where_answers_leave_room_for_few_frames(
     bench: Benches, speed: int
 ) -> None:
@@ -190,6 +191,7 @@ def test_a_command_is_told_as_often_as_needed_where_answers_leave_room_for_few_f
             assert [(frame.value, frame.telemetry) for frame in told] == [(int(command), True)] * times
 
 
+@pytest.mark.slow
 def test_escs_tell_their_temperature_once_they_are_asked_to_before_arming(bench: Benches) -> None:
     with bench() as board:
         for esc in board.escs:
@@ -255,6 +257,7 @@ class Traffic:
         self.moved["card"] = self._card.writes - self._written
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("telemetry", sampled((False, True), True))
 @pytest.mark.parametrize("speed", sampled(SPEEDS, 600))
 def test_pulses_are_thirds_of_a_bit_and_answers_read_while_all_other_lines_are_busy(

@@ -139,7 +139,7 @@ def test_a_check_of_the_sticks_without_propellers_stops_and_refuses_nothing(
 
 # --- Take-off ---------------------------------------------------------------------------------
 @BOTH
-@pytest.mark.parametrize("throttle", [0.3, 0.5])
+@pytest.mark.parametrize("throttle", sampled([0.3, 0.5], 0.5))
 @pytest.mark.parametrize("waits_s", sampled([1.0, 5.0], 1.0))
 @pytest.mark.parametrize(
     "wired", sampled([(1, 0, 2, 3), (0, 2, 1, 3), (3, 1, 2, 0)], (1, 0, 2, 3), (3, 1, 2, 0)), ids=str

@@ -22,6 +22,7 @@ NAME = "OF-MY-OWN"
 SCENARIO = "[[segment]]\nduration_s = 0.1\nsetpoint_deg_s = [60, -40, 30]\nthrottle = 0.4\n"
 
 
+@pytest.mark.slow
 def test_a_board_from_its_own_dump_flies_the_librarys_bits(
     reference_library: Path,
     board_image: Path,  # whose objects are the same

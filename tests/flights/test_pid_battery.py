@@ -86,6 +86,7 @@ def figures_of(trace: Trace) -> FlightFigures:
     return figures(trace, COUNT, IDLE, pid_settings(NF1).mix)
 
 
+@pytest.mark.slow
 def test_the_pid_flies_an_empty_pack_better_when_it_measures_it(reference_library: Path) -> None:
     nominal = figures_of(flown(reference_library, None))
     unaware = figures_of(flown(reference_library, 13.2, FULL_V))
@@ -104,6 +105,7 @@ def test_the_pid_flies_the_same_bits_when_the_pack_is_full(reference_library: Pa
     assert told.dshot.tobytes() == silent.dshot.tobytes()
 
 
+@pytest.mark.slow
 def test_the_pid_flies_its_own_gains_when_the_battery_is_not_measured_any_more(
     reference_library: Path,
 ) -> None:

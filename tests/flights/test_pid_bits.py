@@ -29,6 +29,7 @@ from neuroflight.training.evaluation.controllers import load_controller
 from neuroflight.training.evaluation.evaluation import record
 from tests.flights.recomputed import recomputed
 from tests.given_task import Given
+from tests.sampling import sampled
 
 Flown = Callable[..., Trace]
 NF1 = load_aircraft("nf1")
@@ -61,7 +62,7 @@ def flight(port: FirmwarePort, mount: Mount, full: float | None, *, noise: bool)
         return fly(twin, port, busy(mount))
 
 
-@pytest.mark.parametrize("where", ["host program", "library", "emulated board"])
+@pytest.mark.parametrize("where", sampled(["host program", "library", "emulated board"], "library"))
 def test_compares_controller_gives_the_values_that_the_firmware_sent(
     host_program: Path, reference_library: Path, board_image: Path, flown: Flown, where: str
 ) -> None:

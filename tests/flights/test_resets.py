@@ -152,6 +152,7 @@ def test_stop_frames_come_in_time_when_the_gyro_is_silent_after_the_reset(pins: 
     assert {frame.value for frame in board.frames} == {0}
 
 
+@pytest.mark.slow
 def test_stop_frames_come_for_seconds_before_the_full_fault_log_is_erased(pins: Callable[..., Pins]) -> None:
     board = pins(log_full=True)
     board.answers_within_bound()

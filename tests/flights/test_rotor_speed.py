@@ -134,6 +134,7 @@ def test_the_pid_takes_over_when_a_wire_is_lost_and_the_policy_has_no_model(fold
     assert (lost.dshot[parts[0] :] > 0).all(), "it flies on"
 
 
+@pytest.mark.slow
 def test_the_policy_flies_on_by_its_model_when_a_wire_is_lost(modelled: Path) -> None:
     port, sound = Meddling(modelled, one_wire_lost), Meddling(modelled, whole)
     lost, trace = flight(port), flight(sound)

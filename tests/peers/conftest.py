@@ -19,6 +19,7 @@ from tests.cli.test_board import Running
 from tests.firmware.conftest import Program
 from tests.peers.usb_computer import computer, wait_until
 from tests.peers.yamspy_client import WAIT_S
+from tests.sampling import sampled
 
 BETAFLIGHT = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
 BOOT_SAMPLES = 4200  # at 1 kHz: the delay before arming, and some more
@@ -100,7 +101,7 @@ def board_port(image: Path, line: str, folder: Path) -> Iterator[tuple[str, int]
         yield str(wait_until(lambda: next(at.links.iterdir(), None))), board.baud
 
 
-@pytest.fixture(params=["tcp", "uart", "usb"])
+@pytest.fixture(params=sampled(["tcp", "uart", "usb"], "tcp", "uart"))
 def line(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Line]:
     """A line to the firmware: to the host program, and to the image on the emulated board, twice."""
     if request.param == "tcp":

@@ -13,11 +13,12 @@ from neuroflight.toolchain.contract import Msp
 from tests.firmware.host.app import App
 from tests.firmware.host.test_app_tabs import CONNECTED, HANDSHAKE, REFUSED, TABS
 from tests.peers.conftest import board_port
+from tests.sampling import sampled
 
 ON_THE_CHIP = {12300: 11}  # bytes of what names the processor
 
 
-@pytest.fixture(params=["uart", "usb"])
+@pytest.fixture(params=sampled(["uart", "usb"], "uart"))
 def app(request: pytest.FixtureRequest, board_image: Path, tmp_path: Path) -> Iterator[App]:
     """The app's requests on that line."""
     with board_port(board_image.with_suffix(".bin"), request.param, tmp_path) as (port, _):

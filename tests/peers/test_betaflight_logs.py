@@ -35,6 +35,7 @@ def roll(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trace]:
     return save(tmp_path_factory.mktemp("log") / "LOG00001.BFL", data), trace
 
 
+@pytest.mark.slow
 def test_rows_are_those_of_orangebox_and_every_command_takes_them(
     roll: tuple[Path, Trace], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -42,6 +42,7 @@ def sticks(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("style", "more"),
     [

@@ -256,6 +256,7 @@ def test_a_reward_is_refused_where_none_is_asked(write: Write) -> None:
         load_config("nf1", [f"reward={name}"])
 
 
+@pytest.mark.slow
 def test_a_sweep_varies_a_users_reward_and_flies_his_task(
     write: Write, tmp_path: Path, capsys: Capture
 ) -> None:

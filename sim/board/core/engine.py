@@ -364,17 +364,17 @@ class Engine:
         return self.alarms[name]
 
     def new_answer(self, address: int) -> int:
-        """Return the number of an answer for the register at `address` of AHB2. Raises ValueError.
+        """Return the number of an answer for the register at `address`, in a window. Raises ValueError.
 
         A register that a program polls is read from its peripheral once, until something happens there.
         """
         number = int(self.library.engine_new_answer(self.handle, address))
         if number < 0:
-            raise ValueError(f"no room for an answer of 0x{address:08X}, or it is not of AHB2")
+            raise ValueError(f"no room for an answer of 0x{address:08X}, or no window is there")
         return number
 
     def answer(self, number: int, value: int) -> None:
-        """Let that register's word read as `value` until a store to AHB2 or `forget_answers`."""
+        """Let that register's word read as `value` until a store to its window or `forget_answers`."""
         self.library.engine_answer(self.handle, number, value)
 
     def forget_answers(self) -> None:

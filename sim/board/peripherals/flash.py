@@ -69,12 +69,18 @@ class Flash(Device):
         if self._pending:
             self._spoil()
         super().reset()
+        self.engine.forget_answers()
         self._load_options()
         self._keys, self._option_keys, self._pending = [], [], None
         self._done.cancel()
         self._cut.cancel()
         self.engine.flash_busy(None)
         self.engine.irq(self._irq, False)
+
+    def put(self, register: str, field: str, value: int) -> None:
+        """See Device; the program polls what it changes."""
+        super().put(register, field, value)
+        self.engine.forget_answers()
 
     def latency(self) -> int:
         return self.get("ACR", "LATENCY")

@@ -373,9 +373,9 @@ class Registers:
         self._window(device).companions.append(companion)
 
     def keep_answers(self, device: Device, *names: str) -> None:
-        """Let the engine answer reads of these registers of AHB2 with the last value.
+        """Let the engine answer reads of these registers with the last value.
 
-        `device` says when that may have changed, by `Engine.forget_answers`; a store to AHB2 says so, too.
+        `device` says when that may have changed, by `Engine.forget_answers`; a store to its window does, too.
         """
         window = self._window(device)
         for name in names:

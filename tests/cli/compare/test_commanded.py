@@ -42,6 +42,7 @@ def test_a_named_command_is_flown_by_all_and_compared_by_axis(tmp_path: Path, ca
     assert alone["response"] == first["response"]
 
 
+@pytest.mark.slow
 def test_continuous_commands_are_as_long_and_as_large_as_asked_for(tmp_path: Path, capsys: Capture) -> None:
     plot = tmp_path / "long.png"
     words = ["--task", "continuous", "--length", "1", "--max-rate", "50", "--episodes", "3", "--no-noise"]
@@ -58,6 +59,7 @@ def test_continuous_commands_are_as_long_and_as_large_as_asked_for(tmp_path: Pat
     assert np.mean(wide["mae"]) > 2 * np.mean(first["mae"])
 
 
+@pytest.mark.slow
 def test_flights_are_flown_unless_the_user_says_and_tell_rest_and_drift(
     tmp_path: Path, capsys: Capture
 ) -> None:
@@ -78,6 +80,7 @@ def test_flights_are_flown_unless_the_user_says_and_tell_rest_and_drift(
     assert "rest, fifth 5" in table and "drift, °" in table
 
 
+@pytest.mark.slow
 def test_agents_are_averaged_and_the_best_has_the_lowest_error(capsys: Capture) -> None:
     """Koch 2019, chapter 3: the best agent has the lowest sum of the errors of the three axes."""
     agents = [str(POLICIES / name / "policy.onnx") for name in ("nf1-nominal", "nf1")]

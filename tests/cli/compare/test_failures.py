@@ -58,6 +58,7 @@ def test_a_payload_is_on_board_before_it_goes_and_not_before_it_comes(capsys: Ca
     assert comes["peak"]["pitch"] > 3 * comes["peak"]["roll"]
 
 
+@pytest.mark.slow
 def test_without_a_case_motor_1_fails_and_it_is_told_and_drawn(tmp_path: Path, capsys: Capture) -> None:
     plot = tmp_path / "errors.png"
     words = ["failure", PID, "--episodes", "2", *SHORT[2:], "--no-noise", "--give-up-yaw"]

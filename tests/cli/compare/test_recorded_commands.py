@@ -26,6 +26,7 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_evaluate_flies_the_recording_in_pieces_or_whole(recording: Path, capsys: Capture) -> None:
     found = {}
     for piece in ("1", "0"):

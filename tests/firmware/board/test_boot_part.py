@@ -141,7 +141,7 @@ FAILS_EACH_START: dict[str, tuple[str, bytes]] = {
 QUICK = [name for name in FAILS_EACH_START if name != "hangs in its loop"]
 
 
-@pytest.mark.parametrize("name", NOT_STARTED)
+@pytest.mark.parametrize("name", sampled(NOT_STARTED, *list(NOT_STARTED)[::4]))
 def test_the_old_image_is_started_at_once_when_the_new_one_is_none(
     build: Build, trial: MakeTrial, name: str
 ) -> None:
@@ -176,7 +176,7 @@ def test_the_new_image_gives_way_when_its_policy_fails_its_self_test(build: Buil
     assert board.bank == A
 
 
-@pytest.mark.parametrize("held", ["nothing", "bad", "another's"])
+@pytest.mark.parametrize("held", sampled(["nothing", "bad", "another's"], "bad"))
 @pytest.mark.parametrize("bank", [A, B])
 def test_a_new_image_stays_on_probation_when_no_other_can_be_started(
     build: Build, trial: MakeTrial, bank: int, held: str
@@ -221,6 +221,7 @@ def test_a_new_image_confirms_itself_when_it_has_run_well(build: Build, trial: M
     assert board.marks(B).starts == 1, "no further start is counted"
 
 
+@pytest.mark.slow
 def test_an_image_that_the_rom_installed_numbers_and_confirms_itself(build: Build, trial: MakeTrial) -> None:
     """Over one in the other bank that has run well, so that its number has to be newer."""
     proven = state(sequence=7, confirmed=True)
@@ -404,7 +405,7 @@ def test_a_board_starts_when_power_goes_while_a_start_is_counted(
 @pytest.mark.parametrize(
     ("operation", "cut"),
     [
-        pytest.param(operation, cut, marks=[] if operation in (1, 2) else pytest.mark.slow)
+        pytest.param(operation, cut, marks=[] if operation == 1 else pytest.mark.slow)
         for operation in range(3)
         for cut in Cut
     ],

@@ -59,6 +59,7 @@ SCRATCH = {
 }
 
 
+@pytest.mark.slow
 def test_a_pasted_dump_gives_identical_settings_at_the_speed_of_the_line(
     talk: Callable[[bytes, bytes], bytes],
 ) -> None:

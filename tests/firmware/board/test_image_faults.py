@@ -235,6 +235,7 @@ def test_a_loss_of_power_is_no_dip_when_memory_did_not_outlive_it(bit: int, boar
     assert board.take() is None
 
 
+@pytest.mark.slow
 def test_a_record_is_not_believed_when_memory_lost_power(board: Board, symbols: dict[str, int]) -> None:
     board.fault()
     place = symbols["note"]

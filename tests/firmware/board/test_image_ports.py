@@ -82,6 +82,7 @@ def test_uart3_is_silent_when_nobody_has_set_it(board_image: Path) -> None:
     idle.close()
 
 
+@pytest.mark.slow
 def test_each_of_two_peers_gets_its_own_answers_when_they_take_turns_byte_by_byte(
     idle: IdleBoard, line: Callable[[str], UartLine]
 ) -> None:
@@ -106,8 +107,10 @@ def test_each_of_two_peers_gets_its_own_answers_when_they_take_turns_byte_by_byt
     "noise",
     [
         pytest.param(b"$X<\x00\x01\x00\xff\x01half", id="half a frame"),
-        pytest.param(b"$M<\xff\xff\xff\xff\xff" + bytes(range(256)) * 4, id="garbage"),
-        pytest.param(b"$M<\x00\x01\x02" * 100, id="wrong checksums"),
+        pytest.param(
+            b"$M<\xff\xff\xff\xff\xff" + bytes(range(256)) * 4, id="garbage", marks=pytest.mark.slow
+        ),
+        pytest.param(b"$M<\x00\x01\x02" * 100, id="wrong checksums", marks=pytest.mark.slow),
     ],
 )
 def test_one_peer_is_served_when_the_other_sends_what_is_none(
@@ -123,6 +126,7 @@ def test_one_peer_is_served_when_the_other_sends_what_is_none(
     assert answer(idle, other, API) == API_ANSWER
 
 
+@pytest.mark.slow
 def test_all_of_it_is_answered_when_six_kilobytes_are_pasted_and_more_comes_back(
     idle: IdleBoard, line: Callable[[str], UartLine]
 ) -> None:
@@ -141,6 +145,7 @@ def test_all_of_it_is_answered_when_six_kilobytes_are_pasted_and_more_comes_back
 PASTED = 1500  # requests, of which the line's answers take six times as long as they do
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("uart", sampled(BAUDS, MSP_UART))
 def test_it_is_known_and_the_next_request_served_when_more_is_pasted_than_the_line_can_answer(
     idle: IdleBoard, line: Callable[[str], UartLine], uart: str
@@ -156,6 +161,7 @@ def test_it_is_known_and_the_next_request_served_when_more_is_pasted_than_the_li
     assert answer(idle, peer, API) == API_ANSWER
 
 
+@pytest.mark.slow
 def test_it_is_known_when_bytes_come_while_flash_is_erased(
     idle: IdleBoard, line: Callable[[str], UartLine]
 ) -> None:
@@ -172,6 +178,7 @@ def test_it_is_known_when_bytes_come_while_flash_is_erased(
     assert answer(idle, second, API) == API_ANSWER
 
 
+@pytest.mark.slow
 def test_half_a_request_is_forgotten_when_its_sender_pauses_but_not_while_answers_wait(
     idle: IdleBoard, line: Callable[[str], UartLine]
 ) -> None:
@@ -243,6 +250,7 @@ def ms_to_reset(idle: IdleBoard) -> int:
     raise AssertionError("no reset")
 
 
+@pytest.mark.slow
 def test_answers_are_sent_before_a_reset_also_on_the_slowest_line(slow: tuple[IdleBoard, Snapshot]) -> None:
     idle, moment = slow
     restore_snapshot(idle.board.engine, moment)
@@ -254,6 +262,7 @@ def test_answers_are_sent_before_a_reset_also_on_the_slowest_line(slow: tuple[Id
     assert RESET_WAIT_MS > 2 * 1e7 * SEND_BYTES / SLOW_BAUD / 1000, "two whole buffers"
 
 
+@pytest.mark.slow
 def test_a_reset_does_not_wait_for_ever_for_a_line_that_hardly_sends(
     slow: tuple[IdleBoard, Snapshot],
 ) -> None:

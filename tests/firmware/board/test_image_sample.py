@@ -16,6 +16,7 @@ from neuroflight.toolchain.contract import (
     Alignment,
     GyroChip,
 )
+from tests.sampling import sampled, sampled_rows
 
 TRANSFER_BYTES = 15  # address byte, accelerometer, temperature, gyro in some order
 ACCEL_XOUT_H, READ = 0x3B, 0x80
@@ -148,7 +149,10 @@ def test_an_icm20602_is_kept_off_i2c_by_a_register_of_its_own(board_with: Callab
     assert 108e6 / (2 << flight.sketch.field("SPI_CR1", "BR", "SPI1")) == 6.75e6
 
 
-@pytest.mark.parametrize(("identity", "scale", "paths"), [(0xAC, 0x10, 3), (0xAF, 0x18, 3), (0x71, 0x18, 7)])
+@pytest.mark.parametrize(
+    ("identity", "scale", "paths"),
+    sampled_rows([(0xAC, 0x10, 3), (0xAF, 0x18, 3), (0x71, 0x18, 7)], (0x71, 0x18, 7)),
+)
 def test_kin_are_read_slowly_at_the_same_scale(
     identity: int, scale: int, paths: int, board_with: Callable[[int], Flight]
 ) -> None:
@@ -159,17 +163,22 @@ def test_kin_are_read_slowly_at_the_same_scale(
 
 
 @pytest.mark.parametrize(
-    ("chip", "identity", "told_at"),
-    [
-        *(("MPU6500", 0x70, 0x75), ("ICM20689", 0x98, 0x75), ("ICM20602", 0x12, 0x75)),
-        *(("ICM20601", 0xAC, 0x75), ("ICM20608G", 0xAF, 0x75), ("MPU9250", 0x71, 0x75)),
-        *(("MPU6000", 0x68, 0x75), ("ICM42688P", 0x47, 0x75), ("ICM42605", 0x42, 0x75)),
-        *(("LSM6DSV16X", 0x70, 0x0F), ("LSM6DSK320X", 0x75, 0x0F), ("BMI270", 0x24, 0x00)),
-    ],
+    "known",
+    sampled(
+        [
+            *(("MPU6500", 0x70, 0x75), ("ICM20689", 0x98, 0x75), ("ICM20602", 0x12, 0x75)),
+            *(("ICM20601", 0xAC, 0x75), ("ICM20608G", 0xAF, 0x75), ("MPU9250", 0x71, 0x75)),
+            *(("MPU6000", 0x68, 0x75), ("ICM42688P", 0x47, 0x75), ("ICM42605", 0x42, 0x75)),
+            *(("LSM6DSV16X", 0x70, 0x0F), ("LSM6DSK320X", 0x75, 0x0F), ("BMI270", 0x24, 0x00)),
+        ],
+        ("ICM42605", 0x42, 0x75),
+        ("LSM6DSK320X", 0x75, 0x0F),
+    ),
 )
 def test_the_board_says_which_chip_it_has_and_how_it_is_turned_when_it_is_known(
-    chip: str, identity: int, told_at: int, board_with: Callable[..., Flight], symbols: dict[str, int]
+    known: tuple[str, int, int], board_with: Callable[..., Flight], symbols: dict[str, int]
 ) -> None:
+    chip, identity, told_at = known
     flight = board_with(identity, told_at)
     told = bytes(flight.sketch.uc.mem_read(symbols["info"] + 4, 10))  # struct hal_info; a pointer between
     assert (told[0], *told[8:]) == (Alignment.CW180, GyroChip[chip], identity)
@@ -190,7 +199,9 @@ class Banked(dict[int, int]):
         return default if address == 0x75 and self[0x76] else super().get(address, default)
 
 
-@pytest.mark.parametrize(("bank", "known"), [(1, True), (4, True), (5, False), (0xFF, False)])
+@pytest.mark.parametrize(
+    ("bank", "known"), sampled_rows([(1, True), (4, True), (5, False), (0xFF, False)], (4, True), (5, False))
+)
 def test_a_chip_that_a_reset_left_in_another_bank_is_found_and_none_else_is_written_to(
     bank: int,
     known: bool,
@@ -222,11 +233,14 @@ def test_a_sample_is_read_in_the_order_and_scale_of_the_chip(board_with: Callabl
 
 @pytest.mark.parametrize(
     ("counts", "told"),
-    [
-        ((28570, -28570, 3), (32766, -32766, 3)),
+    sampled_rows(
+        [
+            ((28570, -28570, 3), (32766, -32766, 3)),
+            ((28571, -28571, 0), (32767, -32768, 0)),
+            ((9, -9, -32768), (10, -10, -32768)),
+        ],
         ((28571, -28571, 0), (32767, -32768, 0)),
-        ((9, -9, -32768), (10, -10, -32768)),
-    ],
+    ),
 )
 def test_a_coarse_chip_saturates_at_the_end_of_the_common_range(
     counts: tuple[int, int, int], told: tuple[int, int, int], board_with: Callable[..., Flight]

@@ -250,7 +250,8 @@ def command(idle: IdleBoard, device: Description, block: bytes, length: int) -> 
     return status[12], data
 
 
-@pytest.mark.parametrize("kind", [Reboot.CARD, pytest.param(Reboot.CARD_UTC, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [Reboot.CARD, Reboot.CARD_UTC])
 def test_the_card_is_a_disk_until_it_is_unplugged(
     with_card: tuple[IdleBoard, UsbPeer, Path], kind: Reboot
 ) -> None:

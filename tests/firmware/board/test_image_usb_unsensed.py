@@ -76,6 +76,7 @@ def test_a_host_is_answered_and_motors_stop_at_once_when_the_cable_is_pulled(mak
     assert idle.board.report().notes == ()
 
 
+@pytest.mark.slow
 def test_the_card_is_shown_where_a_host_is_seen_until_it_is_not(make: Make, tmp_path: Path) -> None:
     idle = make(SdCard(make_image(tmp_path / "card.img", {"README.TXT": b"a card\n" * 999})))
     with idle.client() as client, pytest.raises(RefusedError) as refused:

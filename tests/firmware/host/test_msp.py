@@ -125,6 +125,7 @@ def test_half_a_request_does_not_spoil_the_next_peer_when_its_sender_hangs_up(st
         assert polite.recv(100) == API_REPLY
 
 
+@pytest.mark.slow
 def test_a_stream_has_gaps_but_no_broken_record_when_its_peer_reads_late(start: Start) -> None:
     p = start("--gyro-hz=1000")
     late = socket.socket()

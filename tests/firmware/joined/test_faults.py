@@ -47,6 +47,7 @@ from neuroflight.toolchain.contract import (
 from neuroflight.toolchain.errors import LinkError
 from neuroflight.toolchain.files import locked
 from neuroflight.toolchain.policy.model import read_policy
+from tests.sampling import examples
 
 ROOT = Path(__file__).resolve().parents[3]
 STILL = (0.0, 0.0, 0.0)
@@ -159,7 +160,7 @@ def test_it_arms_flies_and_disarms_when_the_pilot_says_so(pilot: Pilot) -> None:
     assert pilot.state() == FlightState.ARMED
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(examples(40)))
 def test_it_ends_disarmed_in_time_when_the_receiver_is_lost_at_a_random_moment(
     make_pilot: MakePilot, seed: int
 ) -> None:

@@ -167,6 +167,7 @@ def test_a_record_is_dropped_whole_and_counted_when_it_does_not_fit(board: Board
     assert then[0].step == board.reference.trace().step
 
 
+@pytest.mark.slow
 def test_those_that_were_due_are_counted_when_the_line_was_not_asked_for_long(board: Board) -> None:
     board.stream(0, 250)
     first = samples(board.run(4, 0)[0])

@@ -20,8 +20,9 @@ from neuroflight.toolchain.contract.msp_fields import NUMBERS, Bound, MspField, 
 from neuroflight.toolchain.contract.msp_layouts import Configuration
 from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import Ground, Request
+from tests.sampling import examples
 
-STATES = 1000
+STATES = examples(1600)
 CHANGES = 6  # settings, from one state to the next
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
 FILTERS = [index for name, index in INDEX.items() if name.startswith(("filter", "dynamic_notch"))]

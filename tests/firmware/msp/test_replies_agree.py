@@ -27,8 +27,9 @@ from neuroflight.toolchain.contract import (
 )
 from tests.firmware.conftest import Core
 from tests.firmware.joined.ground import Ground, Request
+from tests.sampling import examples
 
-STATES = 1000
+STATES = examples(1600)
 SHORT = (-(2**15), 2**15 - 1)
 STRANGE = (0.0, -0.0, 1e-30, 1e9, -1e9, math.inf, -math.inf, math.nan)
 RSSI_FULL = 1023
@@ -67,7 +68,7 @@ def whole(value: float, limits: tuple[int, int] = SHORT) -> float:
 
 
 def states(ground: Ground) -> Iterator[tuple[Any, np.random.Generator]]:
-    """The firmware's status, anew a thousand times."""
+    """The firmware's status, anew many times."""
     rng = np.random.default_rng(18)
     status, trace = ground.firmware.status, ground.firmware.status.trace
     truth = ground.core.new("struct firmware_status *")

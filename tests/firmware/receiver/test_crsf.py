@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from neuroflight.toolchain.contract import CRC8_DVB_S2_POLY
+from tests.sampling import examples, sampled
 
 SYNC, LINK, CHANNELS, BATTERY = 0xC8, 0x14, 0x16, 0x08
 VALUES = [172 + 103 * index for index in range(16)]
@@ -185,7 +186,7 @@ def found(data: bytes) -> list[Event]:
     return events
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(examples(24)))
 def test_what_comes_out_is_what_a_search_finds_when_frames_are_mixed_with_noise(
     push: Push, seed: int
 ) -> None:
@@ -209,7 +210,7 @@ def test_what_comes_out_is_what_a_search_finds_when_frames_are_mixed_with_noise(
     assert len(events) > 40
 
 
-@pytest.mark.parametrize("length", range(2, 63))
+@pytest.mark.parametrize("length", sampled(range(2, 63), 2, 3, 17, 24, 62))
 def test_frames_behind_a_false_beginning_come_out_and_a_half_one_is_forgotten_when_the_line_pauses(
     scripted: Any, length: int
 ) -> None:

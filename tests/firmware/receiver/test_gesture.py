@@ -62,9 +62,9 @@ def test_it_is_told_again_only_when_it_was_left(gesture: Callable[..., Gesture])
     assert g.hold(3 * GESTURE_MS) == [GESTURE_MS]
 
 
-@pytest.mark.parametrize("at", [at for at in product((LOW, MIDDLE, HIGH), repeat=4) if at != SHOWN])
-def test_no_other_position_says_it_when_held(gesture: Callable[..., Gesture], at: tuple[int, ...]) -> None:
-    assert gesture().hold(2 * GESTURE_MS, at) == []
+def test_no_other_position_says_it_when_held(gesture: Callable[..., Gesture]) -> None:
+    for at in product((LOW, MIDDLE, HIGH), repeat=4):
+        assert at == SHOWN or gesture().hold(2 * GESTURE_MS, at) == [], at
 
 
 @pytest.mark.parametrize("stick", range(4))

@@ -136,23 +136,23 @@ def test_a_mode_range_is_refused_when_it_is_none(settings: Any, put: Put, packed
 NUMBERS = [setting for setting in SETTINGS if setting.kind in ("uint32_t", "float")]
 
 
-@pytest.mark.parametrize("setting", NUMBERS, ids=lambda setting: setting.name)
-def test_limits_may_be_taken_and_not_passed_when_set(
-    scripted: Any, settings: Any, put: Put, setting: Setting
-) -> None:
-    for value in (setting.low, setting.high):
-        assert put(settings, setting.name, value) == Refusal.NONE
-        assert getattr(settings, setting.name) == pytest.approx(value, rel=1e-7)
-    if setting.kind == "float":
-        low, high = float32(setting.low), float32(setting.high)
-        past = [low - max(abs(low) * 1e-7, SMALLEST), high + high * 2e-7, math.nan, math.inf, -math.inf]
-    else:
-        past = [setting.high + 1, 2**32 - 1]
-        past += [setting.low - 1] if setting.low > 0 else []
-    before = bytes(scripted.ffi.buffer(settings))
-    for value in past:
-        assert put(settings, setting.name, value) == Refusal.RANGE, value
-        assert bytes(scripted.ffi.buffer(settings)) == before
+def test_limits_may_be_taken_and_not_passed_when_set(scripted: Any, settings: Any, put: Put) -> None:
+    for setting in NUMBERS:
+        scripted.lib.settings_default(settings)
+        name = setting.name
+        for value in (setting.low, setting.high):
+            assert put(settings, name, value) == Refusal.NONE, name
+            assert getattr(settings, name) == pytest.approx(value, rel=1e-7), name
+        if setting.kind == "float":
+            low, high = float32(setting.low), float32(setting.high)
+            past = [low - max(abs(low) * 1e-7, SMALLEST), high + high * 2e-7, math.nan, math.inf, -math.inf]
+        else:
+            past = [setting.high + 1, 2**32 - 1]
+            past += [setting.low - 1] if setting.low > 0 else []
+        before = bytes(scripted.ffi.buffer(settings))
+        for value in past:
+            assert put(settings, name, value) == Refusal.RANGE, (name, value)
+            assert bytes(scripted.ffi.buffer(settings)) == before, name
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -71,16 +71,16 @@ def test_all_settings_but_texts_are_parameters_in_their_order() -> None:
 
 
 @pytest.mark.parametrize("in_bytes", [False, True])
-@pytest.mark.parametrize("parameter", ALL, ids=lambda one: one.setting)
-def test_limits_survive_a_message_when_encoded_and_decoded(parameter: Parameter, in_bytes: bool) -> None:
-    setting = SETTINGS[parameter.number]
-    for value in (setting.low, setting.high, setting.default):
-        field, told = encode_value(parameter, value, in_bytes=in_bytes)
-        stored = value if parameter.whole else float32(value)
-        assert decode_value(parameter, float32(field), told) == stored
-        assert told in (REAL32, INT32)
-        if not parameter.whole or (not in_bytes and value <= FLOAT32_WHOLE_MAX):
-            assert (field, told) == (value, REAL32), "read right by whoever takes it for a float"
+def test_limits_survive_a_message_when_encoded_and_decoded(in_bytes: bool) -> None:
+    for parameter in ALL:
+        setting = SETTINGS[parameter.number]
+        for value in (setting.low, setting.high, setting.default):
+            field, told = encode_value(parameter, value, in_bytes=in_bytes)
+            stored = value if parameter.whole else float32(value)
+            assert decode_value(parameter, float32(field), told) == stored, setting.name
+            assert told in (REAL32, INT32), setting.name
+            if not parameter.whole or (not in_bytes and value <= FLOAT32_WHOLE_MAX):
+                assert (field, told) == (value, REAL32), f"{setting.name}: read right by who takes a float"
 
 
 def test_a_whole_number_is_its_four_bytes_for_who_reads_it_so() -> None:

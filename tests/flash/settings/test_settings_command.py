@@ -248,6 +248,7 @@ def test_everything_is_as_before_when_one_set_is_refused_midway(
     assert lines(msp("diff")[1]) == LINES
 
 
+@pytest.mark.slow
 def test_it_says_what_stays_when_the_line_breaks_midway(
     msp: Run, resting_host: str, pty_line: LayLine, tmp_path: Path
 ) -> None:

@@ -156,6 +156,7 @@ def test_a_state_of_another_layout_is_refused_in_a_line(
         on_board(replace(calm_flight, state=calm_flight.state[:-8]))
 
 
+@pytest.mark.slow
 def test_a_state_that_crashes_the_firmware_is_told_in_a_line(calm_flight: Flight, on_library: Replay) -> None:
     wild = b"\x80" * len(calm_flight.state)  # counts and places beyond all bounds
     with pytest.raises(TraceError, match=r"the firmware crashed on it|does not follow"):

@@ -23,6 +23,7 @@ def firmware(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @needs_analyser
 def test_a_finding_alone_names_file_and_line_when_code_is_wrong(firmware: Path, shipped_policy: Path) -> None:
     (firmware / "src" / "wrong.c").write_text(

@@ -27,6 +27,7 @@ def run(code: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     exec(compile(code, str(PAGE), "exec"), {"__name__": "__main__"})
 
 
+@pytest.mark.slow
 def test_the_lines_make_a_policy_of_the_environments_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

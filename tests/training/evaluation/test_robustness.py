@@ -114,6 +114,7 @@ def test_a_flight_diverges_when_it_drifts_farther_than_on_its_side(drift_deg_s: 
     assert figures.diverged.tolist() == [lost]
 
 
+@pytest.mark.slow
 def test_flights_are_flown_once_a_draw_and_tell_their_drift(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

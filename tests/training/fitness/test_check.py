@@ -96,6 +96,7 @@ def test_an_aircraft_without_any_reference_is_told_the_command() -> None:
         References(aircraft, "mine.toml", None, "Betaflight: not here")
 
 
+@pytest.mark.slow
 def test_references_in_a_process_of_their_own_fly_the_same(short: Short) -> None:
     with References(short.aircraft, "nf1", None, "not asked for") as references:
         references.course = short.course

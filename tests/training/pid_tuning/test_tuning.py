@@ -120,7 +120,7 @@ def test_an_idling_aircraft_sinks_when_idle_is_at_its_limit(name: str) -> None:
     [
         pytest.param("nf1", "tuned", 0.0, marks=pytest.mark.slow),
         ("iris", "tuned", 0.0),
-        ("nf1", "flying", 0.25),
+        pytest.param("nf1", "flying", 0.25, marks=pytest.mark.slow),
         pytest.param("nf1", "flying", 0.8, marks=pytest.mark.slow),
     ],
 )
@@ -163,6 +163,7 @@ def test_command_writes_the_settings_of_the_same_search_by_the_dissertations_ter
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_command_writes_a_pid_to_fly_when_it_is_told_nothing_but_the_aircraft(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -55,6 +55,7 @@ def check_again(names: Sequence[str], out: Path) -> int:
     return len(pairs)
 
 
+@pytest.mark.slow
 def test_steps_without_a_training_give_the_stored_figures_again(tmp_path: Path) -> None:
     stored = [name for name in untrained(experiments()) if name in read_stored(STORED)]
     assert len(stored) >= 20

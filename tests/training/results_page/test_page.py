@@ -621,6 +621,7 @@ def command_file(folder: Path, *lines: str) -> None:
     (folder / "commands.txt").write_text("# file and command\n\n" + "\n".join(lines) + "\n")
 
 
+@pytest.mark.slow
 def test_again_repeats_the_commands_of_the_folder(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

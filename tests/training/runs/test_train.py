@@ -99,6 +99,7 @@ def test_every_block_of_the_contract_has_a_scale() -> None:
     assert set(OBSERVATION_SCALES) == {block.name for block in OBSERVATION_BLOCKS}
 
 
+@pytest.mark.slow
 def test_smoothness_in_the_loss_reduces_the_effect_of_gyro_noise(tmp_path: Path) -> None:
     changes = {}
     calm: dict[str, Any] = {"smoothness_spatial": 0.0, "smoothness_temporal": 0.0}

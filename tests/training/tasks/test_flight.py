@@ -87,6 +87,7 @@ def test_a_pilots_minute_moves_as_hands_do_and_ends_with_centred_sticks() -> Non
     assert len(changes) > 2900
 
 
+@pytest.mark.slow
 def test_a_pilots_flight_is_told_by_its_fifths(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--task", "pilot", "--sigma", "12", "--length", "5", "--episodes", "2", "--json"]
     assert main(["evaluate", "pid:tuned", *words]) == 0

@@ -179,7 +179,7 @@ def test_a_torn_record_is_no_log(board: MakeRecorder) -> None:
 
 
 @pytest.mark.parametrize("kind", ["W25Q80", "W25N01G"])
-@pytest.mark.parametrize("where", [0, 3, 15])
+@pytest.mark.parametrize("where", sampled([0, 3, 15], 3))
 def test_what_another_firmware_left_stays_until_the_pilot_erases(
     board: MakeRecorder, kind: str, where: int
 ) -> None:

@@ -6,6 +6,8 @@ from fractions import Fraction
 
 import pytest
 
+from neuroflight.sim.board.core.engine import Watchpoint
+from neuroflight.sim.board.debug.profile import execution_counts
 from tests.sim.board.programs import Boot, attach, ran, results
 
 TICKING = """
@@ -110,3 +112,39 @@ def test_it_is_stopped_at_the_same_place_when_run_twice(boot: Boot) -> None:
     other = boot(TICKING.replace("SOURCE", "7").replace("9999", "9998"), cpi=Fraction(163, 100))
     other.run_to(5_000_000)
     assert other.trace_hash != engines[0].trace_hash
+
+
+WAITING = """
+NAKED tick(void) /* what was interrupted: the counter, and the flags that its last subtraction left */
+{
+    __asm volatile("ldr r0, =0x20002000\\n ldr r1, [r0]\\n ldr r3, [sp, #8]\\n ldr r12, [sp, #28]\\n"
+        "add r1, r1, r3\\n eor r1, r12, r1, ror #7\\n str r1, [r0]\\n"
+        "ldr r1, [r0, #4]\\n add r1, #1\\n str r1, [r0, #4]\\n bx lr");
+}
+NAKED reset(void)
+{
+    RESULT[0] = RESULT[1] = 0;
+    REG(0xE000E014) = 996;
+    REG(0xE000E018) = 0;
+    REG(0xE000E010) = 7;
+    __asm volatile("1: ldr r2, =TURNS\\n 2: subs r2, #1\\n bne 2b\\n b 1b");
+}
+VECTORS([15] = tick);
+"""
+
+
+@pytest.mark.parametrize("turns", [1, 2, 100, 30_000, 0])
+def test_a_wait_that_counts_down_is_counted_to_the_same_run(boot: Boot, turns: int) -> None:
+    """Under a watchpoint, even one where nothing is, every turn is executed."""
+    skipping, executing = (boot(WAITING.replace("TURNS", str(turns))) for _ in range(2))
+    executing.set_watchpoints([Watchpoint(0x20002100, 4, loads=True, stores=True)])
+    for engine in (skipping, executing):
+        engine.run_to(100_007)
+        engine.run(instructions=1001)
+        engine.run_to(2_000_003)
+    for name in ("cycle", "instructions", "trace_hash", "pc"):
+        assert getattr(skipping, name) == getattr(executing, name), name
+    assert [skipping.register(n) for n in range(17)] == [executing.register(n) for n in range(17)]
+    assert skipping.memory(0x20000000, 0x3000) == executing.memory(0x20000000, 0x3000)
+    assert results(skipping, 2)[1] > 100
+    assert execution_counts(skipping) == execution_counts(executing)

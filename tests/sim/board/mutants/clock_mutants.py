@@ -168,7 +168,6 @@ CLOCK_MUTANTS = (
         new="",
         message=r"the watchdog was not fed for 5\d\d ms: it would reset the chip",
         seconds=1.0,
-        ordinary=True,
     ),
     Mutant(
         name="watchdog locked when it is set up",

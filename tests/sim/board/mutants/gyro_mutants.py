@@ -64,7 +64,6 @@ GYRO_MUTANTS = (
         message=r"register 0x64 of bank 0 of the ICM42688P is written while its sensors are on",
         seconds=0.6,
         gyro="icm42688p",
-        ordinary=True,
     ),
     Mutant(
         name="ICM42688P with the interrupt of its reset state",

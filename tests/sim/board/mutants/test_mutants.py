@@ -55,6 +55,7 @@ def test_firmware_flies_when_it_is_built_and_flown_as_mutants_are(fly_mutant: Fl
     assert min(flight.values) >= DSHOT_MIN
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", sampled(["CONTROLLER_POLICY", "CONTROLLER_PID"], "CONTROLLER_POLICY"))
 def test_firmware_does_not_arm_when_a_controller_takes_longer_than_a_sample(
     fly_mutant: Fly, controller: str

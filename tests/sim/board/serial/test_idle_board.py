@@ -95,6 +95,7 @@ def test_the_first_question_is_heard_when_the_board_has_booted(image: Path) -> N
     idle.close()
 
 
+@pytest.mark.slow
 def test_settings_are_there_after_a_reset_when_the_board_was_configured(image: Path) -> None:
     flash = configured(
         image.read_bytes(),

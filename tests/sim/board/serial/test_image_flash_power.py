@@ -245,9 +245,9 @@ def kept(board_image: Path) -> Iterator[Kept]:
 @pytest.mark.parametrize(
     "stage",
     [
-        *(BEGIN, block(0), SLOT_BEGIN, policy_block(0)),
+        *(pytest.param(stage, marks=pytest.mark.slow) for stage in (BEGIN, SLOT_BEGIN, policy_block(0))),
         pytest.param(SLOT_END, marks=pytest.mark.slow),  # behind all the blocks
-        *(SWITCH, RESTART, CONFIRM),
+        *(block(0), SWITCH, RESTART, CONFIRM),
     ],
     ids=str,
 )
@@ -302,6 +302,7 @@ def test_a_whole_image_runs_when_power_goes(kept: Kept, stage: Stage, operation:
         assert runs is bench.new and bench.banks().now.confirmed
 
 
+@pytest.mark.slow
 def test_the_switch_is_done_again_when_it_was_cut_twice(kept: Kept) -> None:
     bench = kept.ready_for(SWITCH)
     for operation in (1, 0):

@@ -115,6 +115,7 @@ def disturb(idle: IdleBoard, found: Description, chance: random.Random) -> None:
     idle.run_to(idle.board.cycle + round(FRAME * chance.choice((0, 0.05, 0.1, 0.7, 2, 8))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", sampled(range(8), 1))
 def test_a_host_without_manners_finds_the_device_as_it_was(idle: IdleBoard, seed: int) -> None:
     chance, board = random.Random(seed), idle.board

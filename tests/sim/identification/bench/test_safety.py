@@ -20,6 +20,7 @@ from neuroflight.sim.identification.bench.sensor import LineReader
 from neuroflight.sim.identification.dyno.bench import Phase
 from neuroflight.toolchain.contract import MOTOR_TEST_TIMEOUT_MS, Msp, Refusal
 from neuroflight.toolchain.errors import LinkError
+from tests.sampling import sampled, sampled_rows
 from tests.sim.identification.bench.rig import Rig, SensorKind, unplugged
 
 LEVEL = 0.4
@@ -93,12 +94,15 @@ def test_the_rotor_turns_as_told_and_rests_when_nothing_happens(stand: Stand) ->
 # --- The sensor -------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("fault", "says", "within"),
-    [
+    sampled_rows(
+        [
+            ("silent_after", "no fresh reading for 0.5", 0.5 + 3 * TICK_S),
+            ("frozen_after", "older than at the start", 0.25 / 0.95 + 5 * TICK_S),
+            ("late_after", "no fresh reading for 0.5", 0.5 + 3 * TICK_S),
+            ("blocked_after", "expected a rotor that turns", 0.6 + 4 * TICK_S),
+        ],
         ("silent_after", "no fresh reading for 0.5", 0.5 + 3 * TICK_S),
-        ("frozen_after", "older than at the start", 0.25 / 0.95 + 5 * TICK_S),
-        ("late_after", "no fresh reading for 0.5", 0.5 + 3 * TICK_S),
-        ("blocked_after", "expected a rotor that turns", 0.6 + 4 * TICK_S),
-    ],
+    ),
 )
 def test_the_rotor_stops_when_the_sensor_tells_nothing_new(
     stand: Stand, fault: str, says: str, within: float
@@ -130,14 +134,18 @@ def test_the_rotor_stops_when_readings_come_ever_later(stand: Stand) -> None:
 
 @pytest.mark.parametrize(
     ("limit", "column", "factor"),
-    [
+    sampled_rows(
+        [
+            ("rpm_max", "pulses", None),
+            ("thrust_max_n", "thrust_raw", 1.5),
+            ("torque_max_n_m", "torque_left_raw", 20.0),
+            ("amps_max", "amps", 3.0),
+            ("temperature_max_c", "temperature_c", 2.0),
+            ("volts_min", "volts", 0.7),
+        ],
         ("rpm_max", "pulses", None),
         ("thrust_max_n", "thrust_raw", 1.5),
-        ("torque_max_n_m", "torque_left_raw", 20.0),
-        ("amps_max", "amps", 3.0),
-        ("temperature_max_c", "temperature_c", 2.0),
-        ("volts_min", "volts", 0.7),
-    ],
+    ),
 )
 def test_the_rotor_stops_at_once_when_a_reading_is_beyond_its_limit(
     stand: Stand, limit: str, column: str, factor: float | None
@@ -192,7 +200,7 @@ def test_the_rotor_stops_when_the_time_limit_is_over(stand: Stand) -> None:
     assert stand.stopped_after() <= 2 * TICK_S
 
 
-@pytest.mark.parametrize("held_s", [0.3, 2.0])
+@pytest.mark.parametrize("held_s", sampled([0.3, 2.0], 0.3))
 def test_the_rotor_stops_when_this_computer_is_held_up(stand: Stand, held_s: float) -> None:
     """Whichever comes first: the gap is noticed here, or the board's own time-out ends the test."""
     stand.at_fault(lambda: stand.rig.advance(held_s))

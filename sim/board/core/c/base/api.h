@@ -88,9 +88,11 @@ void engine_callbacks(struct engine *e, const struct callbacks *callbacks);
 void engine_reset(struct engine *e, uint32_t vectors);
 /* The number of a new window; -1: taken, not aligned or no place of peripherals. */
 int engine_attach(struct engine *e, uint32_t base, uint32_t size);
-/* The number of an answer for the register at `address` of AHB2, not yet known; -1: there are too many. */
+/* The number of an answer for the register at `address` in an attached window, not yet known; -1: there are too many, or
+ * there is none. */
 int engine_new_answer(struct engine *e, uint32_t address);
-/* What that register's word reads as, without a callback, until a store to AHB2 or `engine_forget_answers`. */
+/* What that register's word reads as, without a callback, until a store to a window with answers or to AHB2, or
+ * `engine_forget_answers`. */
 void engine_answer(struct engine *e, uint32_t answer, uint32_t value);
 void engine_forget_answers(struct engine *e);
 /* Reads that were answered so since the last call. */

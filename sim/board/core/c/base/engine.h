@@ -115,6 +115,7 @@ struct block {
 	uint16_t opening;        /* instructions at its start that an IT before it covers */
 	uint16_t open;           /* instructions after its end that its last IT covers */
 	bool calls;              /* ends in BL or BLX */
+	uint8_t counts;          /* it is nothing but SUBS of one from this register and BNE to itself, plus 1; 0: it is not */
 	uint8_t order;           /* enum order */
 	uint32_t device_stores;  /* of the engine, when `order` was found */
 	uint32_t code;           /* row in `enters` that it begins at */
@@ -194,9 +195,10 @@ struct state {
 struct window {
 	uint32_t base, size;
 	uint64_t reads, writes;
+	bool answers; /* some of its registers have an answer */
 };
 
-/* What a register of AHB2 reads as until something happens there: a program that polls asks its peripheral once. */
+/* What a register reads as until something happens there: a program that polls asks its peripheral once. */
 struct answer {
 	uint32_t address, value;
 	uint64_t generation; /* it holds while `answers_generation` is one less */

@@ -6,6 +6,7 @@
 
 enum { LINE = 64 }; /* bytes, of this machine's cache */
 enum { NONE = 15, ALL = 0xFFFF, SP = 13, PC = 15 };
+enum { SUBS_1 = 0x3801, BNE_BACK = 0xD1FD }; /* SUBS r0, #1, and BNE to the halfword before it */
 
 struct instruction {
 	struct special special;
@@ -272,6 +273,8 @@ struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening)
 		at += i.size;
 	}
 	block->open = (uint16_t)covered;
+	if (size == 4u && opening == 0u && (thumb_halfword(code) & 0xF8FFu) == SUBS_1 && thumb_halfword(code + 2) == BNE_BACK)
+		block->counts = (uint8_t)((code[1] & 7u) + 1u);
 	return block;
 }
 

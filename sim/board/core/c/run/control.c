@@ -135,8 +135,11 @@ int engine_attach(struct engine *e, uint32_t base, uint32_t size)
 
 int engine_new_answer(struct engine *e, uint32_t address)
 {
-	if (e->answer_count == ANSWER_MAX || !inside(address, 4, AHB2_BASE, AHB2_BYTES))
+	const int window = windows_at(e, address);
+
+	if (e->answer_count == ANSWER_MAX || window < 0)
 		return -1;
+	e->windows[window].answers = true;
 	e->answers[e->answer_count] = (struct answer){.address = address};
 	return (int)e->answer_count++;
 }

@@ -329,6 +329,35 @@ void hooks_close_itcm(struct engine *e)
 	uc_mem_protect(e->uc, ITCM_BASE, ITCM_BYTES, UC_PROT_READ | UC_PROT_EXEC);
 }
 
+/* A loop that does nothing but count down, of which waits are made, need not run: all its turns but the last one, and the
+ * last before something is due, are counted here, to the same times and the same trace. */
+static void hooks_count_down(struct engine *e)
+{
+	struct block *const b = e->block;
+	const int name = general[b->counts - 1u];
+	const uint32_t value = reg(e, name);
+	const uint64_t due = e->next_due < e->until ? e->next_due : e->until, turn = b->count * e->s.tick;
+	const uint64_t in_time = due > e->s.time ? (due - e->s.time) / turn : 0;
+	const uint64_t allowed = (e->limit - e->s.instructions) / b->count;
+	uint64_t turns = value != 0u ? value : UINT64_C(1) << 32;
+
+	turns = in_time < turns ? in_time : turns;
+	turns = allowed < turns ? allowed : turns;
+	if (turns < 2u)
+		return;
+	set_reg(e, name, value - (uint32_t)(turns - 1u));
+	hooks_pass_whole(e, b);
+	e->block = b;
+	turns -= 2u;
+	b->times += turns;
+	e->s.time += turns * turn;
+	e->s.instructions += turns * b->count;
+	if (e->profiling)
+		e->nodes[e->s.node].instructions += turns * b->count;
+	for (; turns != 0u; --turns)
+		engine_mix(&e->s, (uint64_t)e->s.last_end << 32 | e->start);
+}
+
 static void hooks_on_block(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 {
 	struct engine *e = user;
@@ -356,9 +385,13 @@ static void hooks_on_block(uc_engine *uc, uint64_t address, uint32_t size, void 
 	__builtin_prefetch(e->block->next);
 	if (e->profiling)
 		profile_block(e);
+	const bool attend = e->attention || (start < ITCM_BYTES && !e->s.itcm_closed) || start < NULL_PAGE_BYTES ||
+			    (start >= ITCM_BYTES && e->s.flash_busy << FRACTION > e->s.time);
+
+	if (e->block->counts != 0u && !attend && e->breakpoint_count == 0u && e->watch_count == 0u)
+		hooks_count_down(e);
 	hooks_plan(e);
-	if (e->attention || (start < ITCM_BYTES && !e->s.itcm_closed) || start < NULL_PAGE_BYTES ||
-	    (start >= ITCM_BYTES && e->s.flash_busy << FRACTION > e->s.time)) {
+	if (attend) {
 		e->attention = true;
 		e->event_stop = 0;
 	}

@@ -53,6 +53,7 @@ void engine_restored(struct engine *e)
 	e->failed = e->reset_wanted = false;
 	e->skip = NOWHERE;
 	e->watch_passed = false;
+	engine_forget_answers(e);
 	blocks_forget(e);
 	uc_mem_protect(e->uc, ITCM_BASE, ITCM_BYTES, e->s.itcm_closed ? UC_PROT_READ | UC_PROT_EXEC : UC_PROT_ALL);
 	if (e->s.node >= e->node_count)

@@ -48,6 +48,7 @@ void system_write(struct engine *e, uint32_t address, uint32_t size, uint32_t va
 
 /* ---- windows.c: which peripheral an access goes to, and the chip as unicorn sees it ---- */
 
+int windows_at(const struct engine *e, uint32_t address); /* number of the window; -1: none */
 uint32_t windows_read(struct engine *e, uint32_t address, uint32_t size);
 void windows_write(struct engine *e, uint32_t address, uint32_t size, uint32_t value);
 uc_err windows_map(struct engine *e);
