@@ -104,10 +104,10 @@ def _climb(fit: PropellerFit, aircraft: Aircraft, speed: float) -> dict[str, flo
 
     import numpy as np
 
-    from neuroflight.sim.design.figures import aircraft_figures
+    from neuroflight.sim.design.figures import hovering
     from neuroflight.sim.physics.rotor import advance_factors, rotor_geometry
 
-    hover = aircraft_figures(aircraft).hover
+    hover = hovering(aircraft)
     if hover is None or aircraft.propulsion.propeller_diameter is None:
         lacks = "cannot hover" if hover is None else "has no propulsion.propeller_diameter_m"
         raise NeuroflightError(f"aircraft {aircraft.name} {lacks}; leave out --aircraft")

@@ -306,14 +306,15 @@ def _written(item: Planned) -> int | None:
 def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int) -> None:
     """Write monitor.png, if there is anything to draw."""
     from neuroflight.sim.plotting import save_png
-    from neuroflight.training.checkpoints.monitor import EPISODES, flown
+    from neuroflight.training.checkpoints.monitor import episodes, flown
     from neuroflight.training.checkpoints.monitor_plot import draw_monitored, read_monitor
     from neuroflight.training.runs.train import MONITOR
 
     runs = [read_monitor(item.out / MONITOR) for item in planned if (item.out / MONITOR).exists()]
     if any(run.history for run in runs):
-        task = flown(planned[0].config).task.name
-        title = f"{aircraft.name}: each checkpoint on {EPISODES} {task} episodes, mean and range"
+        config = planned[0].config
+        task, count = flown(config).task.name, episodes(config)
+        title = f"{aircraft.name}: each checkpoint on {count} {task} episodes, mean and range"
         save_png(out / PLOT, draw_monitored(runs, f"seed {best}", title))
 
 

@@ -99,6 +99,7 @@ class Estimator:
     def __init__(self, model: ModelConstants, count: int, idle: float) -> None:
         """idle: the fraction of armed motors without thrust."""
         self._model, self._idle = model, idle
+        self._turn, self._reaction = (np.array(rows, np.float32) for rows in (model.turn, model.reaction))
         motors = model.motor_count
         self._commands = np.zeros((model.delay_steps + 1, count, motors), np.float32)  # the oldest first
         self._speed = np.zeros((count, motors), np.float32)
@@ -128,12 +129,10 @@ class Estimator:
         before = self._speed[which]
         after = self._advanced(before, self._commands[0, which]) if measured is None else measured
         gained, square = after - before, after * after
-        rate = self._rate[which].copy()
-        for axis in range(0 if standing else 3):
-            for turn, speed in zip(model.turn[axis], square.T, strict=True):
-                rate[:, axis] = rate[:, axis] + np.float32(turn) * speed
-            for reaction, gain in zip(model.reaction[axis], gained.T, strict=True):
-                rate[:, axis] = rate[:, axis] + np.float32(reaction) * gain
+        rate = self._rate[which]
+        if not standing:
+            terms = self._turn * square[:, None], self._reaction * gained[:, None]
+            rate = np.add.accumulate(np.concatenate([rate[..., None], *terms], axis=2), axis=2)[..., -1]
         rate = rate + np.float32(model.correction) * (gyro - rate)
         self._rate[which] = rate if first is None else np.where(first, gyro, rate)
         self._speed[which] = after

@@ -67,6 +67,15 @@ class GyroFilter:
             self._fresh[which] = False
         self._last[:, which] = last
 
+    def add_all(self, rates: Array32) -> None:
+        """Add samples (S, N, 3) [rad/s] of all gyros in turn, the oldest first."""
+        if self._notches is None and len(rates) >= len(self._last):
+            self._last[:] = rates[-len(self._last) :]
+            self._fresh[:] = False
+            return
+        for rate in rates:
+            self.add(rate)
+
     def read(self, which: Which = slice(None)) -> Array32:
         """Compute what the controllers of `which` see, (K, 3) [rad/s]."""
         total = self._last[0, which]

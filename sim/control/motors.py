@@ -46,34 +46,31 @@ def dshot_values(u: Array32, idle: float) -> NDArray[np.uint16]:
     return np.uint16(DSHOT_MIN) + scaled.astype(np.uint16)
 
 
+_THROTTLES = np.full(DSHOT_MAX + 2, np.nan)  # the fraction of each DShot value; the last is of all above
+_THROTTLES[[DSHOT_STOP, DshotCommand.EXTENDED_TELEMETRY]] = 0.0
+_THROTTLES[DSHOT_MIN:-1] = np.arange(DSHOT_SPAN + 1) / DSHOT_SPAN
+_EACH = {value: fraction for value, fraction in enumerate(_THROTTLES.tolist()) if fraction == fraction}
+
+
 def motor_fractions(dshot: NDArray[np.uint16]) -> Array:
     """Compute the motor fractions 0..1 that an ESC decodes: 0 for 0, otherwise (v - 48) / 1999.
 
     dshot: 11-bit values, any shape. Raises LinkError on a value that is no throttle; the command that ESCs
     are asked by what they measure, which a firmware sends by itself before arming, leaves a motor standing.
     """
-    stands = (dshot == DSHOT_STOP) | (dshot == DshotCommand.EXTENDED_TELEMETRY)
-    command = ~stands & (dshot < DSHOT_MIN)
-    if command.any() or (dshot > DSHOT_MAX).any():
+    fractions = _THROTTLES.take(dshot, mode="clip")
+    if fractions.size and np.isnan(fractions.min()):
         raise LinkError(
-            f"DShot value {dshot[command | (dshot > DSHOT_MAX)][0]} is no throttle, expected {DSHOT_STOP} "
+            f"DShot value {dshot[np.isnan(fractions)][0]} is no throttle, expected {DSHOT_STOP} "
             f"or {DSHOT_MIN} to {DSHOT_MAX}: the firmware is broken"
         )
-    return np.where(stands, 0.0, (dshot.astype(np.float64) - DSHOT_MIN) / DSHOT_SPAN)
-
-
-_THROTTLES = np.array(
-    [DSHOT_STOP, DshotCommand.EXTENDED_TELEMETRY, *range(DSHOT_MIN, DSHOT_MAX + 1)], np.uint16
-)
-_FRACTIONS: dict[int, float] = dict(
-    zip(_THROTTLES.tolist(), motor_fractions(_THROTTLES).tolist(), strict=True)
-)
+    return fractions
 
 
 def each_fraction(dshot: NDArray[np.uint16]) -> list[float]:
     """Compute `motor_fractions` of the few values (M,) of one aircraft, faster. Raises LinkError like it."""
     try:
-        return [_FRACTIONS[value] for value in dshot.tolist()]
+        return [_EACH[value] for value in dshot.tolist()]
     except KeyError:
         fractions: list[float] = motor_fractions(dshot).tolist()  # raises the error
         return fractions

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse
+from neuroflight.sim.control.authority import authority
 from neuroflight.sim.control.estimator import hover_speed, observed_model
-from neuroflight.sim.physics.rotor import rotor_geometry, target_speed, thrust_and_torque
+from neuroflight.sim.physics.rotor import thrust_and_torque
 from neuroflight.toolchain.contract import ObservationTerm
 from neuroflight.toolchain.errors import AircraftError
 from neuroflight.toolchain.policy.model_constants import ModelConstants
@@ -29,12 +30,10 @@ def told(aircraft: Aircraft) -> Told:
             f"train one of its own"
         )
     propulsion, response = aircraft.propulsion, aircraft.propulsion.response
-    geometry, inertia = rotor_geometry(aircraft), aircraft.mass_properties.inertia
     hover = hover_speed(aircraft)
-    thrust, torque = (float(load) for load in thrust_and_torque(hover, propulsion))
-    middle, low = _slope(aircraft, MIDDLE), _slope(aircraft, LOW)
-    levers = np.abs(geometry.thrust_wrench[:, 3:] + torque / thrust * geometry.torque_wrench[:, 3:])
-    roll, pitch, yaw = (middle * levers.sum(axis=0) / np.diag(inertia)).tolist()
+    torque = float(thrust_and_torque(hover, propulsion)[1])
+    middle, low = authority(aircraft, MIDDLE), authority(aircraft, LOW)
+    roll, pitch, yaw = middle.tolist()
     # Torque K_Q K_T w^2: for a rad/s more it is greater by 2 torque / w.
     drag = 2.0 * torque / hover
     if isinstance(response, TorqueResponse):
@@ -50,7 +49,7 @@ def told(aircraft: Aircraft) -> Told:
             limit_s=limit,
             delay_s=propulsion.delay,
             kick_s=propulsion.rotor_inertia / drag,
-            curve=low / middle,
+            curve=float(low[0] / middle[0]),
             speed=propulsion.speed_max,
         )
     except ValueError as error:
@@ -73,10 +72,3 @@ def told_model(
     )
     mass = replace(aircraft.mass_properties, centre=np.zeros(3))
     return observed_model(replace(aircraft, rotors=centred, mass_properties=mass), terms, control_rate_hz)
-
-
-def _slope(aircraft: Aircraft, between: tuple[float, float]) -> float:
-    """Compute thrust a motor value [N] of a rotor, mean of a range."""
-    speeds = target_speed(np.array(between), aircraft.propulsion)
-    less, more = thrust_and_torque(speeds, aircraft.propulsion)[0].tolist()
-    return float((more - less) / (between[1] - between[0]))

@@ -66,7 +66,7 @@ def aircraft_figures(aircraft: Aircraft) -> AircraftFigures:
     moments, axes = principal(properties.inertia)
     hubs = aircraft.rotor_positions
     thrust_max = float(thrust_and_torque(np.array(propulsion.speed_max), propulsion)[0])
-    hover = _hovering(aircraft, weight, thrust_max)
+    hover = hovering(aircraft)
     speed = np.full(aircraft.motor_count, propulsion.speed_max) if hover is None else hover.speed
     rows = thrust_map(aircraft, coefficient(propulsion.torque_ratio, speed) * np.ones(aircraft.motor_count))
     return AircraftFigures(
@@ -91,7 +91,7 @@ def hover_throttle(aircraft: Aircraft, idle: float) -> float | None:
 
     The mixer adds throttle to all motors alike. None: the aircraft cannot hover.
     """
-    hover = aircraft_figures(aircraft).hover
+    hover = hovering(aircraft)
     return None if hover is None else float(np.clip((hover.throttle.mean() - idle) / (1.0 - idle), 0.0, 1.0))
 
 
@@ -144,8 +144,10 @@ def greatest_moment(moment: Array, rows: Array, wanted: Array, high: float) -> f
     return best
 
 
-def _hovering(aircraft: Aircraft, weight: float, thrust_max: float) -> Hover | None:
-    propulsion = aircraft.propulsion
+def hovering(aircraft: Aircraft) -> Hover | None:
+    """Compute the hover on the bench supply; None: the aircraft cannot."""
+    propulsion, weight = aircraft.propulsion, GRAVITY * aircraft.mass_properties.mass
+    thrust_max = float(thrust_and_torque(np.array(propulsion.speed_max), propulsion)[0])
     speeds = np.linspace(0.0, propulsion.speed_max, SPEEDS)
     thrusts = np.maximum.accumulate(thrust_and_torque(speeds, propulsion)[0])
     throttles = np.linspace(0.0, 1.0, SPEEDS)

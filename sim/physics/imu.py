@@ -32,7 +32,7 @@ def draw_bias(noise: Gyro | Accelerometer, count: int, rng: np.random.Generator)
 def counts(rate: Array) -> NDArray[np.int16]:
     """Convert a rate [rad/s] to 16-bit counts at +-2000 deg/s: half to even, saturated."""
     scaled = np.rint(np.rad2deg(rate) * (GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S))
-    return np.clip(scaled, -GYRO_COUNTS, GYRO_COUNTS - 1).astype(np.int16)
+    return np.minimum(np.maximum(scaled, -GYRO_COUNTS), GYRO_COUNTS - 1).astype(np.int16)
 
 
 def quantised_rate(rate: Array) -> Array32:

@@ -20,7 +20,15 @@ from neuroflight.toolchain.errors import BuildError
 
 C = Path(__file__).parent / "c"
 CPU_INFO = Path("/proc/cpuinfo")
-_KINDS = {"float64": "double[]", "int64": "int64_t[]", "int32": "int32_t[]", "bool": "bool[]"}
+_KINDS = {
+    np.dtype(kind): words
+    for kind, words in (
+        (np.float64, "double[]"),
+        (np.int64, "int64_t[]"),
+        (np.int32, "int32_t[]"),
+        (np.bool_, "bool[]"),
+    )
+}
 
 
 @cache
@@ -50,7 +58,7 @@ def fused() -> tuple[str, ...]:
 
 def pointer(array: NDArray[Any]) -> Any:  # noqa: ANN401 - a pointer of cffi
     """Return a pointer to the first element of an array in C order, which the caller keeps alive."""
-    return library().ffi.from_buffer(_KINDS[array.dtype.name], array)
+    return library().ffi.from_buffer(_KINDS[array.dtype], array)
 
 
 def struct(name: str, **values: Any) -> Any:  # noqa: ANN401 - a struct of cffi

@@ -130,6 +130,9 @@ class Supply:
         Accelerating a rotor costs power, and braking gives nothing back. A battery: its value of the last
         sample.
         """
+        if self._battery is not None and not self._bench.any():
+            voltage, current = self._battery.voltage[:, 0].copy(), self._battery.current.copy()
+            return Draw(voltage * current, voltage, current)
         power, propulsion = np.empty(self._count), propulsion_struct(self._aircraft.propulsion)
         library().lib.supply_power(
             self.state, propulsion, self._count, pointer(before), pointer(after), pointer(power)

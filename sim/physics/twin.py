@@ -170,7 +170,7 @@ class Twin:
         self._heat = None if thermal is None else Heat(thermal, shape, self._dt)
         self._command = np.zeros(shape)
         self._state = self._make_state()
-        self._step, self._measure = library().lib.twin_step, library().lib.twin_measure
+        self._run, self._measure = library().lib.twin_run, library().lib.twin_measure
         if variation is not None:
             self.vary(np.arange(count), variation)
         self.reset()
@@ -344,22 +344,26 @@ class Twin:
                 sensor.reset(index)
         self.measure(index)
 
-    def step(self, motors: NDArray[np.floating]) -> None:
-        """Advance one sample with `motors`, the commands (N, M) in 0..1 computed from this sample.
+    def step(self, motors: NDArray[np.floating], samples: int = 1) -> Array:
+        """Advance samples with `motors`, the commands (N, M) in 0..1 computed from this sample.
 
-        Raises ValueError on a wrong shape or a command that is not in 0..1 (NaN included), RuntimeError if
-        pybullet refuses.
+        Returns what the gyros read after each, (samples, N, 3) [rad/s]. Raises ValueError on a wrong shape or
+        a command that is not in 0..1 (NaN included), RuntimeError if pybullet refuses.
         """
         if motors.shape != self._command.shape:
             raise ValueError(f"motor commands have shape {motors.shape}, expected {self._command.shape}")
         self._command[:] = motors
-        failed = self._step(self._state)
-        if failed:
-            if failed == library().lib.STEP_BAD_COMMAND:
-                raise ValueError(f"motor commands are {motors.min()}..{motors.max()}, expected 0..1")
-            raise RuntimeError("pybullet refuses a step of the twin; is it closed?")
-        if self._heat is not None:
-            self._heat.step(self.motor_current)
+        read = np.empty((samples, self.count, 3))
+        # Windings warm sample by sample.
+        for part in [read] if self._heat is None else np.split(read, samples):
+            failed = self._run(self._state, len(part), pointer(part))
+            if failed:
+                if failed == library().lib.STEP_BAD_COMMAND:
+                    raise ValueError(f"motor commands are {motors.min()}..{motors.max()}, expected 0..1")
+                raise RuntimeError("pybullet refuses a step of the twin; is it closed?")
+            if self._heat is not None:
+                self._heat.step(self.motor_current)
+        return read
 
     def measure(self, which: Indices | None = None) -> None:
         """Draw new sensor readings, also without a step while aircraft are held: of all, or of `which`."""

@@ -15,7 +15,7 @@ from neuroflight.sim.aircraft.model import load_aircraft
 from tests.cli.test_first_board import clone as clone
 from tests.cli.test_own_aircraft import Shell
 from tests.conftest import ROOT
-from tests.sim.identification.hidden_twins import CLASSES, betaflight_log, draw, loop_parameters
+from tests.sim.identification.hidden_twins import BETAFLIGHT, CLASSES, betaflight_log, draw, loop_parameters
 
 LOG = "LOG00001.BFL"
 SECONDS = 62.0
@@ -42,6 +42,8 @@ def test_the_steps_lead_from_a_log_to_an_image(clone: Path) -> None:
     hidden = replace(draw(kind, 1), name="mine")
     log, flight = betaflight_log(hidden, "freestyle", SECONDS, 1)
     (clone / LOG).write_bytes(log)
+    (clone / "build").mkdir()
+    (clone / "build" / "BETAFLIGHT").symlink_to(BETAFLIGHT)  # that the log was flown with
     run = Shell(clone)
     for line in commands():
         run(f"{line} --steps {STEPS}" if " policy train " in line else line)

@@ -29,8 +29,8 @@ def evaluate(network: Network, observation: Float32, *, exact: bool = True) -> F
     """Compute the actions (N, outputs) of observations (N, inputs), both float32, each from cleared recurrent
     state.
 
-    exact: give the emitted C's bits; otherwise matrices go through BLAS and tanh through numpy, many times
-    as fast and a few ulp away, which is for statistics over many flights.
+    exact: give the emitted C's bits; otherwise matrices go through BLAS, tanh through numpy and cells' sums
+    round twice, many times as fast and a few ulp away, which is for statistics over many flights.
     Actions are within the last Clip's bounds; NaN where the observation or a sum of it leaves float32.
     """
     return advance(network, observation, clear_state(network, len(observation)), exact=exact)[0]
@@ -145,7 +145,11 @@ def _tanh(x: Float32, exact: bool) -> Float32:
 
 
 def _sigmoid(x: Float32, exact: bool) -> Float32:
-    return fma(_tanh(x * _HALF, exact), _HALF, _HALF)
+    return _fma(_tanh(x * _HALF, exact), _HALF, _HALF, exact)
+
+
+def _fma(a: Float32, b: Float32 | np.float32, c: Float32 | np.float32, exact: bool) -> Float32:
+    return fma(a, b, c) if exact else a * b + c
 
 
 def _gru(cell: op.Gru, x: Float32, h: Float32, exact: bool) -> Float32:
@@ -154,8 +158,8 @@ def _gru(cell: op.Gru, x: Float32, h: Float32, exact: bool) -> Float32:
     from_state = _linear(cell.state_weight, cell.state_bias, h, exact)
     gates = _sigmoid(from_input[:, : 2 * units] + from_state[:, : 2 * units], exact)
     update, reset = gates[:, :units], gates[:, units:]
-    candidate = _tanh(fma(reset, from_state[:, 2 * units :], from_input[:, 2 * units :]), exact)
-    return fma(update, h - candidate, candidate)
+    candidate = _tanh(_fma(reset, from_state[:, 2 * units :], from_input[:, 2 * units :], exact), exact)
+    return _fma(update, h - candidate, candidate, exact)
 
 
 def _lstm(cell: op.Lstm, x: Float32, h: Float32, c: Float32, exact: bool) -> tuple[Float32, Float32]:
@@ -164,7 +168,7 @@ def _lstm(cell: op.Lstm, x: Float32, h: Float32, c: Float32, exact: bool) -> tup
     sums = _linear(cell.input_weight, cell.bias, x, exact) + _linear(cell.state_weight, none, h, exact)
     gates = _sigmoid(sums[:, : 3 * units], exact)
     write, output, forget = gates[:, :units], gates[:, units : 2 * units], gates[:, 2 * units :]
-    c = fma(forget, c, write * _tanh(sums[:, 3 * units :], exact))
+    c = _fma(forget, c, write * _tanh(sums[:, 3 * units :], exact), exact)
     return output * _tanh(c, exact), c
 
 

@@ -21,6 +21,7 @@ from neuroflight.sim.physics.variation import Variation
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import ESC_BLOCKS, check_observation
 from neuroflight.toolchain.errors import TrainingError
+from neuroflight.toolchain.policy.model_constants import ModelConstants
 from neuroflight.training.config.training_config import TrainingConfig
 from neuroflight.training.tasks.reward import Transition
 
@@ -45,8 +46,12 @@ class AttitudeSimulation:
         config: TrainingConfig,
         rng: np.random.Generator,
         steps_max: int | None = None,
+        model: ModelConstants | None = None,
     ) -> None:
-        """Create the aircraft. All random numbers come from `rng`; steps_max: the longest episode."""
+        """Create the aircraft. All random numbers come from `rng`.
+
+        steps_max: the longest episode; model: that policies observe it by, None: its own.
+        """
         self.count = count
         self.motor_count = aircraft.motor_count
         terms = config.blocks()
@@ -78,7 +83,7 @@ class AttitudeSimulation:
             variation=self._drawn(count),
             rng=rng,
         )
-        model = observed_model(aircraft, terms, self._rate_hz)
+        model = observed_model(aircraft, terms, self._rate_hz) if model is None else model
         self._observer = Observer(
             terms, count, self.motor_count, self._rate_hz, model=model, idle=config.idle
         )

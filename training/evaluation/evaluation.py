@@ -268,12 +268,12 @@ def record(
                 controller.compensate(battery.measure(twin.pack_voltage))
             command = motor_commands(y, thrust, idle, mix)
             rows.put(k, twin, command)
-            for left in reversed(range(samples)):
-                twin.step(command)
-                if gyro_filters.rpm is not None and left == 0:
-                    gyro.told(twin.told_speed)
-                if left < seen:
-                    gyro.add(quantised_rate(twin.live.gyro))
+            read = quantised_rate(twin.step(command, samples)[-seen:])
+            if gyro_filters.rpm is not None:
+                gyro.add_all(read[:-1])
+                gyro.told(twin.told_speed)
+                read = read[-1:]
+            gyro.add_all(read)
             if progress is not None:
                 progress(k + 1, steps)
     finally:

@@ -14,8 +14,8 @@ from neuroflight.training.evaluation.fleet.scaled_pid import authority, referenc
 from neuroflight.training.evaluation.fleet.standings import MEAN_RATIO_MAX, WORST_RATIO_MAX, Flown
 from neuroflight.training.evaluation.fleet.unseen import Unseen
 
-LOW, HIGH = 0.2, 3.0  # of the axis; what lies beyond is drawn at its end
-TICKS = (0.2, 0.3, 0.5, 0.7, 0.9, 1.3, 2.0, 3.0)
+LOW, HIGH = 0.05, 3.0  # of the axis; what lies beyond is drawn at its end
+TICKS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.3, 2.0, 3.0)
 LOST_AT = 2.8  # of aircraft that the first controller loses
 ACROSS = "authority about roll and pitch, of the NF1's"
 
@@ -57,11 +57,11 @@ def _dots(panel: Axes, first: Flown, rival: Flown, aircraft: Sequence[Unseen], k
     for bar, words in ((MEAN_RATIO_MAX, "mean at most"), (WORST_RATIO_MAX, "none above")):
         panel.axhline(bar, color=MUTED, linewidth=1.0, linestyle="--")
         panel.text(
-            0.99,
+            0.01,
             bar,
             f"{words} {bar:g}",
             transform=panel.get_yaxis_transform(),
-            ha="right",
+            ha="left",
             va="bottom",
             fontsize=8,
             color=MUTED,

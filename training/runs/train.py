@@ -18,7 +18,7 @@ from neuroflight.toolchain.errors import TrainingError
 from neuroflight.toolchain.files import read_limited, write_text
 from neuroflight.toolchain.policy.freeze import freeze
 from neuroflight.training.checkpoints.metrics import CheckpointMetrics
-from neuroflight.training.checkpoints.monitor import EPISODES, SEED, flown
+from neuroflight.training.checkpoints.monitor import SEED, episodes, flown
 from neuroflight.training.checkpoints.monitor_process import Monitor
 from neuroflight.training.checkpoints.selection import rule
 from neuroflight.training.config.training_config import TrainingConfig
@@ -272,7 +272,7 @@ class _Results:
             "seed": self.config.seed,
             "steps_wanted": self.config.steps,
             "task": flown(self.config).task.name,
-            "episodes": EPISODES,
+            "episodes": episodes(self.config),
             "episodes_seed": SEED,
             "limits": {"output": limits.output, "change": limits.change},
             "rule": rule(limits),

@@ -39,7 +39,8 @@ class Fleet(Suite):
     names = ("fleet",)
 
     count: Annotated[int, Option("N", "aircraft", low=1, high=COUNT_MAX)] = 200
-    seed: Annotated[int, Option("S", "of the aircraft; another is another fleet", low=0)] = 1
+    # Aircraft of seed 1 guided the training of `any`: they are not unseen.
+    seed: Annotated[int, Option("S", "of the aircraft; another is another fleet", low=0)] = 2
     pulses: Annotated[
         int, Option("N", "on each aircraft, of all thrusts together", low=2, high=PULSES_MAX)
     ] = 8

@@ -243,6 +243,7 @@ struct twin {
 };
 
 int twin_step(struct twin *t);
+int twin_run(struct twin *t, size_t samples, double *gyros);
 void twin_measure(struct twin *t, size_t count, const int64_t *which);
 
 #endif

@@ -137,3 +137,16 @@ int twin_step(struct twin *t)
 	twin_measure(t, t->count, NULL);
 	return STEP_DONE;
 }
+
+/* Advances by samples of the same commands; gyros (samples, N, 3) get what each reads after them. */
+int twin_run(struct twin *t, size_t samples, double *gyros)
+{
+	for (size_t sample = 0; sample < samples; ++sample) {
+		const int failed = twin_step(t);
+
+		if (failed != STEP_DONE)
+			return failed;
+		memcpy(gyros + 3u * t->count * sample, t->gyro, 3u * t->count * sizeof(double));
+	}
+	return STEP_DONE;
+}

@@ -250,7 +250,8 @@ def wire_rates(raw: NDArray[np.integer]) -> Array:
 
 def dshot_of_widths(widths: Array32) -> NDArray[np.uint16]:
     """Compute DShot values of pulse widths [us], any shape: 0 for a stopped motor."""
-    fraction = np.clip((widths.astype(np.float64) - STOP_US) / (FULL_US - STOP_US), 0.0, 1.0)
+    fraction = (widths.astype(np.float64) - STOP_US) / (FULL_US - STOP_US)
+    fraction = np.minimum(np.maximum(fraction, 0.0), 1.0)
     value = DSHOT_MIN + np.floor(DSHOT_SPAN * fraction + 0.5)
     return np.where(fraction > 0.0, value, DSHOT_STOP).astype(np.uint16)
 

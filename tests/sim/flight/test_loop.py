@@ -73,10 +73,11 @@ class Watched(Twin):
         self.given: list[list[float]] = []
         self.rates = [self.rate[0].copy()]
 
-    def step(self, motors: np.ndarray) -> None:
+    def step(self, motors: np.ndarray, samples: int = 1) -> np.ndarray:
         self.given.append(motors[0].tolist())
-        super().step(motors)
+        read = super().step(motors, samples)
         self.rates.append(self.rate[0].copy())
+        return read
 
 
 @functools.cache

@@ -11,8 +11,10 @@ from neuroflight.toolchain.errors import PolicyError
 from neuroflight.training.checkpoints.monitor import FLIGHT, flown, fly
 from neuroflight.training.checkpoints.monitor_process import Monitor
 from neuroflight.training.config.algorithms import PpoConfig
+from neuroflight.training.config.pathwise_config import PathwiseConfig
 from neuroflight.training.config.randomization import Randomization
 from neuroflight.training.config.training_config import TrainingConfig, WorldConfig
+from neuroflight.training.learners.pathwise.learner import PathwiseLearner
 from neuroflight.training.tasks.random_steps import RandomStepsTask
 from neuroflight.training.tasks.task import ContinuousTask, EpisodicTask, PulseTask
 
@@ -100,3 +102,22 @@ def test_a_run_on_a_task_of_training_alone_is_monitored_in_flights() -> None:
     config.document(NF1)
     assert flown(TrainingConfig(task=ContinuousTask())).task == PulseTask()
     assert flown(CONFIG).task == CONFIG.task
+
+
+def test_a_policy_for_any_flies_other_aircraft_and_is_told_of_them() -> None:
+    algorithm = PathwiseConfig(aircraft=16, change_of="motors")
+    config = TrainingConfig(
+        observation="rate_error,rate,rate_estimate",
+        hidden=(4,),
+        mix="centred",
+        task=PulseTask(idle_s=0.0, command_s=0.15, rest_s=0.05),
+        world=WorldConfig(aircraft="any", throttle_max=0.6),
+        algorithm=algorithm,
+    )
+    learner = PathwiseLearner(NF1, config, algorithm)
+    policy = arrays(learner.policy())
+    learner.close()
+    bent = policy | {name: part + 0.3 for name, part in policy.items() if name.startswith("basis.5.")}
+    first, again, other = (fly(NF1, config, 1, each) for each in (policy, policy, bent))
+    assert first == again != other
+    assert first.mae.greatest > 2.0 * first.mae.least

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from neuroflight.sim.analysis.metrics import CHANGE_S
 from neuroflight.sim.arrays import Array
 from neuroflight.sim.design.figures import aircraft_figures
-from neuroflight.sim.physics.twin import Twin
+from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
 from neuroflight.sim.physics.world import Mount
 from neuroflight.toolchain.contract import GRAVITY, GYRO_RATE_DEFAULT_HZ
 from neuroflight.training.evaluation.controllers import AnyController, Conditions
@@ -93,7 +93,10 @@ class Plan:
 
 def levels(aircraft: Unseen) -> tuple[float, ...]:
     """Return the thrusts of its pulses, of the weight: those it has room above."""
-    most = ROOM * aircraft_figures(aircraft.truth).thrust_to_weight
+    return _levels(ROOM * aircraft_figures(aircraft.truth).thrust_to_weight)
+
+
+def _levels(most: float) -> tuple[float, ...]:
     found = tuple(level for level in LEVELS if level <= most)
     return found if max(found) >= 1.0 else (LEVELS[0], most)
 
@@ -103,11 +106,6 @@ def meet(
 ) -> dict[str, Figures]:
     """Fly the plan; return the figures by kind of flight."""
     motors = np.array(aircraft.shares)
-
-    def apart(twin: Twin) -> None:
-        twin.weaken(motors)
-
-    event = Event(0.0, apart)
     conditions = Conditions(
         aircraft=aircraft.truth,
         task=PULSE,
@@ -117,9 +115,8 @@ def meet(
         gyro_rate_hz=GYRO_RATE_DEFAULT_HZ,
         sticks=True,
     )
-    asked = {"pulses": levels(aircraft), "minute": (1.0,)}
-    asked["wash"] = tuple(_able(aircraft, thrust) for _, thrust in WASH)
-    kinds = {"pulses": _pulses, "minute": _minute, "wash": _wash}
+    lift = aircraft_figures(aircraft.truth).thrust_to_weight
+    pairing = _Pairing(controller, conditions, Event(0.0, lambda twin: twin.weaken(motors)), lift)
     found = {}
     for number, kind in enumerate(plan.flights):
 
@@ -127,85 +124,92 @@ def meet(
             if progress is not None and done % 200 == 0:
                 progress((number + done / total) / len(plan.flights))
 
-        wanted = sorted(set(asked[kind]))
-        throttles, thrusts = _throttles(controller, conditions, event, wanted)
-        at = dict(zip(wanted, throttles, strict=True))
-        off = {each: abs(got / each - 1.0) for each, got in zip(wanted, thrusts, strict=True)}
-        found[kind] = kinds[kind](controller, aircraft, conditions, event, at, off, show)
+        found[kind] = getattr(pairing, kind)(show)
     return found
 
 
-_At = dict[float, float]  # by thrust over weight
 _Show = Callable[[int, int], None]
 
 
-def _pulses(
-    controller: AnyController,
-    aircraft: Unseen,
-    conditions: Conditions,
-    event: Event,
-    at: _At,
-    off: _At,
-    show: _Show,
-) -> Figures:
-    asked = levels(aircraft)
-    each = np.array([at[asked[number % len(asked)]] for number in range(conditions.episodes)], np.float32)
-    flights = conditions.fly(controller, each, show, event=event)
-    found = _figures(flights, flights.setpoint, flights.rate, max(off[level] for level in asked))
-    error = np.rad2deg(np.abs(flights.setpoint - flights.rate)).mean(axis=(1, 2), dtype=np.float64)
-    by_thrust = tuple(
-        (level, float(error[n :: len(asked)].mean())) for n, level in enumerate(asked[: len(error)])
-    )
-    return replace(found, by_thrust=by_thrust)
+@dataclass(frozen=True)
+class _Pairing:
+    """A controller on an aircraft; a method for each kind of flight returns its figures."""
 
+    controller: AnyController
+    conditions: Conditions  # of its pulses
+    event: Event  # at their begin: the motors are apart
+    lift: float  # the aircraft's thrust over its weight
 
-def _minute(
-    controller: AnyController,
-    aircraft: Unseen,
-    conditions: Conditions,
-    event: Event,
-    at: _At,
-    off: _At,
-    show: _Show,
-) -> Figures:
-    flight = replace(conditions, task=MINUTE, episodes=1)
-    flights = flight.fly(controller, at[1.0], show, event=event)
-    rows = flights.commanded
-    parts = (1 * MINUTE.pulses, -1, 3)
-    setpoint, rate = (each[:, rows].reshape(parts) for each in (flights.setpoint, flights.rate))
-    holding = flights.holding()
-    assert holding is not None
-    drift = float(np.abs(holding.drift).max())
-    found = _figures(flights, setpoint, rate, off[1.0])
-    lost = int(found.lost > 0 or not drift <= DIVERGED_DRIFT)
-    return replace(found, lost=lost, count=1, drift=drift)
+    def pulses(self, show: _Show) -> Figures:
+        asked, episodes = _levels(ROOM * self.lift), self.conditions.episodes
+        at, off = self._throttles(asked)
+        each = np.array([at[asked[number % len(asked)]] for number in range(episodes)], np.float32)
+        flights = self.conditions.fly(self.controller, each, show, event=self.event)
+        found = _figures(flights, flights.setpoint, flights.rate, max(off.values()))
+        error = np.rad2deg(np.abs(flights.setpoint - flights.rate)).mean(axis=(1, 2), dtype=np.float64)
+        by_thrust = tuple(
+            (level, float(error[n :: len(asked)].mean())) for n, level in enumerate(asked[: len(error)])
+        )
+        return replace(found, by_thrust=by_thrust)
 
+    def minute(self, show: _Show) -> Figures:
+        at, off = self._throttles((1.0,))
+        flight = replace(self.conditions, task=MINUTE, episodes=1)
+        flights = flight.fly(self.controller, at[1.0], show, event=self.event)
+        rows = flights.commanded
+        parts = (1 * MINUTE.pulses, -1, 3)
+        setpoint, rate = (each[:, rows].reshape(parts) for each in (flights.setpoint, flights.rate))
+        holding = flights.holding()
+        assert holding is not None
+        drift = float(np.abs(holding.drift).max())
+        found = _figures(flights, setpoint, rate, off[1.0])
+        lost = int(found.lost > 0 or not drift <= DIVERGED_DRIFT)
+        return replace(found, lost=lost, count=1, drift=drift)
 
-def _wash(
-    controller: AnyController,
-    aircraft: Unseen,
-    conditions: Conditions,
-    event: Event,
-    at: _At,
-    off: _At,
-    show: _Show,
-) -> Figures:
-    still = EpisodicTask(distribution="normal", sigma_deg_s=0.0, hold_s=sum(time for time, _ in WASH))
-    free = replace(conditions, task=still, episodes=1, mount=Mount.FREE)
-    rate_hz = controller.control_rate_hz
-    steps = round(still.duration_s * rate_hz)
-    ends = np.cumsum([time for time, _ in WASH]) * rate_hz
-    which = np.minimum(np.searchsorted(ends, np.arange(steps), side="right"), len(WASH) - 1)
-    stick = np.array([at[_able(aircraft, thrust)] for _, thrust in WASH], np.float32)[which]
-    flights = free.fly(controller, stick[None], show, event=event)
-    rows = slice(round(SETTLE_S / flights.step_s), None)
-    return _figures(flights, flights.setpoint[:, rows], flights.rate[:, rows], off[1.0])
+    def wash(self, show: _Show) -> Figures:
+        most = round(ROOM * self.lift, 3)
+        asked = [min(thrust, most) if thrust > 1.0 else thrust for _, thrust in WASH]
+        at, off = self._throttles(sorted(set(asked)))
+        still = EpisodicTask(distribution="normal", sigma_deg_s=0.0, hold_s=sum(time for time, _ in WASH))
+        free = replace(self.conditions, task=still, episodes=1, mount=Mount.FREE)
+        rate_hz = self.controller.control_rate_hz
+        steps = round(still.duration_s * rate_hz)
+        ends = np.cumsum([time for time, _ in WASH]) * rate_hz
+        which = np.minimum(np.searchsorted(ends, np.arange(steps), side="right"), len(WASH) - 1)
+        stick = np.array([at[thrust] for thrust in asked], np.float32)[which]
+        flights = free.fly(self.controller, stick[None], show, event=self.event)
+        rows = slice(round(SETTLE_S / flights.step_s), None)
+        return _figures(flights, flights.setpoint[:, rows], flights.rate[:, rows], off[1.0])
 
+    def _throttles(self, wanted: Sequence[float]) -> tuple[dict[float, float], dict[float, float]]:
+        """Find throttles with these thrusts at rest, of the weight; return them and how far each is off.
 
-def _able(aircraft: Unseen, thrust: float) -> float:
-    """Return a thrust of the wash, or what the aircraft can give instead."""
-    most = round(ROOM * aircraft_figures(aircraft.truth).thrust_to_weight, 3)
-    return min(thrust, most) if thrust > 1.0 else thrust
+        By the aircraft's curve of thrust on the bench supply; a round of flights tells how many fractions of
+        the motors are lacking.
+        """
+        drive, idle = self.conditions.aircraft.propulsion, self.controller.idle
+        fractions = np.linspace(0.0, 1.0, 201)
+        lifts = thrust_and_torque(target_speed(fractions, drive), drive)[0]
+        lifts = np.maximum.accumulate(lifts / lifts[-1] * self.lift)
+        still = EpisodicTask(distribution="normal", sigma_deg_s=0.0, hold_s=REST_S)
+        resting = replace(self.conditions, task=still, episodes=len(wanted))
+        asked = np.array(wanted)
+        needed = np.interp(asked, lifts, fractions)
+        throttle = best = (needed - idle) / (1.0 - idle)
+        got = np.full(len(wanted), np.inf)
+        for _ in range(ROUNDS):
+            throttle = throttle.clip(0.0, 1.0)
+            flights = resting.fly(self.controller, throttle.astype(np.float32), event=self.event)
+            assert flights.lift is not None
+            last = slice(-round(REST_LAST_S / flights.step_s), None)
+            thrust: Array = flights.lift[:, last].mean(axis=1, dtype=np.float64) / GRAVITY
+            nearer = np.abs(thrust - asked) < np.abs(got - asked)
+            best, got = np.where(nearer, throttle, best), np.where(nearer, thrust, got)
+            off = np.abs(got / asked - 1.0)
+            if (off <= NEAR).all():
+                break
+            throttle = throttle + (needed - np.interp(thrust, lifts, fractions)) / (1.0 - idle)
+        return dict(zip(wanted, best.tolist(), strict=True)), dict(zip(wanted, off.tolist(), strict=True))
 
 
 def _figures(
@@ -254,35 +258,6 @@ def _overshoot(setpoint: NDArray[np.float32], rate: NDArray[np.float32]) -> floa
     peak = (rate * sign[:, None]).max(axis=1)
     large = command > np.deg2rad(20.0)
     return float(((peak - command)[large] / command[large]).clip(0.0).mean()) if large.any() else 0.0
-
-
-def _throttles(
-    controller: AnyController, conditions: Conditions, event: Event, wanted: Sequence[float]
-) -> tuple[list[float], list[float]]:
-    """Find throttles with these thrusts at rest, of the weight; return them and the thrusts they give.
-
-    Rotor speed, the root of the thrust, goes nearly with the motors' fraction: from two throttles on a line.
-    """
-    idle, aircraft = controller.idle, conditions.aircraft
-    still = EpisodicTask(distribution="normal", sigma_deg_s=0.0, hold_s=REST_S)
-    resting = replace(conditions, task=still, episodes=len(wanted))
-    roots = np.sqrt(np.array(wanted))
-    zero = -idle / (1.0 - idle)  # throttle of standing rotors
-    throttle = zero + roots / np.sqrt(aircraft_figures(aircraft).thrust_to_weight) * (1.0 - zero)
-    best = throttle = np.clip(throttle, 0.0, 1.0)
-    got = np.full(len(wanted), np.inf)
-    for _ in range(ROUNDS):
-        flights = resting.fly(controller, throttle.astype(np.float32), event=event)
-        assert flights.lift is not None
-        last = slice(-round(REST_LAST_S / flights.step_s), None)
-        thrust: Array = flights.lift[:, last].mean(axis=1, dtype=np.float64) / GRAVITY
-        nearer = np.abs(thrust - wanted) < np.abs(got - wanted)
-        best, got = np.where(nearer, throttle, best), np.where(nearer, thrust, got)
-        if (np.abs(got / np.array(wanted) - 1.0) <= NEAR).all():
-            break
-        steep = np.sqrt(np.maximum(got, 1e-3)) / np.maximum(best - zero, 1e-3)
-        throttle = np.clip(best + (roots - np.sqrt(np.maximum(got, 0.0))) / steep, 0.0, 1.0)
-    return best.tolist(), got.tolist()
 
 
 def _three(values: Array) -> tuple[float, float, float]:

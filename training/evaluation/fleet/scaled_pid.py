@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
-
 from neuroflight.sim.aircraft.model import Aircraft, PidSettings, load_aircraft
 from neuroflight.sim.arrays import Array
+from neuroflight.sim.control.authority import authority_at
 from neuroflight.sim.control.pid import Pid
 from neuroflight.sim.control.pid_table import mixer, pid_settings
-from neuroflight.sim.design.figures import aircraft_figures, thrust_map
-from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
+from neuroflight.sim.design.figures import hovering
 from neuroflight.training.evaluation.controllers import PID_RATE_HZ, ControllerSpec
 
 SCALED = "pid:scaled"
@@ -48,20 +46,9 @@ def scaled_pid(aircraft: Aircraft) -> ControllerSpec:
 
 
 def authority(aircraft: Aircraft) -> Array:
-    """Compute what a unit of each axis' mixer turns the hovering aircraft by, (3,) [rad/s^2], rotors settled.
-
-    In the mixer's senses, all positive. Where all commands together do not lift it, at full command.
-    """
-    drive, hover = aircraft.propulsion, aircraft_figures(aircraft).hover
-    command = 1.0 if hover is None else float(hover.throttle.mean())
-    speed = float(target_speed(command, drive))
-    a, b, _ = drive.speed_curve
-    thrust, torque = (float(load) for load in thrust_and_torque(speed, drive))
-    newtons = 2.0 * thrust / max(speed, 1e-3) * (2.0 * a * command + b)  # of a motor a unit of its command
-    moments = thrust_map(aircraft, np.full(aircraft.motor_count, torque / thrust))[1:]
-    turned = np.linalg.solve(aircraft.mass_properties.inertia, newtons * moments @ mixer(aircraft))
-    found: Array = np.abs(np.diag(turned))
-    return found
+    """Compute the authority of the hovering aircraft, (3,) [rad/s^2]; at full command if it cannot hover."""
+    hover = hovering(aircraft)
+    return authority_at(aircraft, 1.0 if hover is None else float(hover.throttle.mean()))
 
 
 @cache

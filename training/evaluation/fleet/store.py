@@ -13,7 +13,7 @@ from neuroflight.training.evaluation.fleet.arena import Figures, Plan
 from neuroflight.training.evaluation.fleet.unseen import Unseen
 
 BYTES_MAX = 1 << 20
-VERSION = 2  # of what is flown: another one flies anew
+VERSION = 3  # of what is flown: another one flies anew
 
 
 def place(folder: Path, aircraft: Unseen, name: str, facts: dict[str, str], plan: Plan) -> Path:
