@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from neuroflight.cli.options import Header, Json, OfPart
+from neuroflight.cli.aircraft.flights import OfFlights, print_limits
 from neuroflight.cli.progress import progress_bars
 from neuroflight.cli.report import print_json, print_table
-from neuroflight.cli.requests import Argument, Option
+from neuroflight.cli.requests import Option
 from neuroflight.toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -20,13 +20,9 @@ MOTORS = 4  # of an aircraft without a file
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitAircraft(OfPart):
+class FitAircraft(OfFlights):
     """A request for an aircraft file from logs."""
 
-    logs: Annotated[
-        tuple[Path, ...],
-        Argument("LOG", "one or more flights: blackbox logs (FILE:N is log N of a file) or traces (.npz)"),
-    ]
     aircraft: Annotated[
         str | None,
         Option("NAME|FILE", "the file to begin with; default: one typical of --weight, --arm and --props"),
@@ -51,8 +47,6 @@ class FitAircraft(OfPart):
     report: Annotated[
         Path | None, Option("FILE.html", "a page with what was held back, and its prediction", suffix=".html")
     ] = None
-    header: Header = ()
-    json: Json = False
 
     more: ClassVar[str] = (
         ": authority, response, delay and curve of the rotors, yaw torque, noise of the gyro, motor order, "
@@ -63,7 +57,6 @@ class FitAircraft(OfPart):
         """Fit, write the aircraft, print the figures. Returns 0."""
         from neuroflight.sim.aircraft.model import load_aircraft, parse_aircraft
         from neuroflight.sim.identification.fit.fit import fit
-        from neuroflight.sim.identification.fit.flight import read_flight
         from neuroflight.sim.identification.fit.write import fitted_text, start_text
         from neuroflight.toolchain.files import write_text
 
@@ -78,12 +71,11 @@ class FitAircraft(OfPart):
             raise NeuroflightError(
                 "aircraft fit: --aircraft has weight, arm and propellers: give it or these"
             )
-        told = dict(line.partition("=")[::2] for line in self.header)
+        self.check_new(self.out, self.aircraft)
         with progress_bars(self.json) as bar:
             show = bar("reading")
             start = load_aircraft(self.aircraft) if self.aircraft is not None else None
-            motors = MOTORS if start is None else start.motor_count
-            flights = [read_flight(path, motors, self.part, told) for path in self.logs]
+            flights = self.flights(MOTORS if start is None else start.motor_count)
             if start is None:
                 text = self._typical(flights)
                 start = parse_aircraft(text.encode(), "typical")
@@ -129,7 +121,7 @@ def _cells(flights: list[Flight]) -> int | None:
 
 
 def _print(fit: Fit, out: Path, report: Path | None) -> None:
-    from neuroflight.toolchain.contract import AXES
+    from neuroflight.sim.identification.fit.result import share_words
 
     rows = [("", "start", "fit", "95 % interval", "told by")]
     for one in fit.parameters.values():
@@ -145,20 +137,14 @@ def _print(fit: Fit, out: Path, report: Path | None) -> None:
             )
         )
     print_table(f"{fit.name}: {fit.seconds:.0f} s of flight", rows, numbers={"start", "fit", "95 % interval"})
-    shares = zip(AXES, fit.explained, fit.explained_start, strict=True)
-    print(
-        "explained of what was held back: "
-        + ", ".join(
-            f"{axis} {100 * one:.0f} % (start file {100 * start:.0f} %)" for axis, one, start in shares
-        )
-    )
+    print(f"of what your sticks did to it, the fit predicts: {share_words(fit.explained)}")
+    print(f"the file it began with predicts: {share_words(fit.explained_start)} (both on data held back)")
     if fit.rewired:
         order = ", ".join(str(rotor + 1) for rotor in fit.order)
         print(f"motor order: logged motors drive the start file's rotors {order}")
     if fit.props_out:
         print("propellers turn the other way than in the start file; the written file has it so")
-    for words, manoeuvre in fit.cannot:
-        print(f"cannot tell: {words}; would: {manoeuvre}")
-    for note in fit.notes:
-        print(f"note: {note}")
+    print_limits(fit)
     print(f"wrote {out}" + (f" and {report}" if report is not None else ""))
+    print(f"look at it: neuroflight aircraft check {out}")
+    print(f"a policy:   neuroflight policy train --from any --aircraft {out} --out {Path('runs') / out.stem}")

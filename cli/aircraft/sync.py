@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from neuroflight.cli.options import Header, Json, OfPart
+from neuroflight.cli.aircraft.flights import OfFlights, print_limits
 from neuroflight.cli.progress import progress_bars
 from neuroflight.cli.report import print_json, print_table
-from neuroflight.cli.requests import Argument, Option
+from neuroflight.cli.requests import Option
 
 if TYPE_CHECKING:
     from neuroflight.sim.aircraft.model import Aircraft
@@ -25,15 +25,9 @@ PIECES_MAX = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sync(OfPart):
+class Sync(OfFlights):
     """A request for what changed about an aircraft."""
 
-    logs: Annotated[
-        tuple[Path, ...],
-        Argument(
-            "LOG", "flights of today's aircraft: blackbox logs (FILE:N is log N of a file) or traces (.npz)"
-        ),
-    ]
     aircraft: Annotated[str, Option("NAME|FILE", "the aircraft's own file, of before")]
     policy: Annotated[
         Path | None,
@@ -45,8 +39,6 @@ class Sync(OfPart):
             "FILE.toml", "write the aircraft of the log, if anything changed", suffix=".toml", recorded=False
         ),
     ] = None
-    header: Header = ()
-    json: Json = False
 
     more: ClassVar[str] = (
         ": a bent propeller, a new battery, a heavier camera, tired motors, each only if it is beyond what "
@@ -58,18 +50,17 @@ class Sync(OfPart):
         from neuroflight.sim.aircraft.model import load_aircraft, parse_aircraft
         from neuroflight.sim.identification.changes import find_changes
         from neuroflight.sim.identification.fit.fit import fit
-        from neuroflight.sim.identification.fit.flight import read_flight
         from neuroflight.sim.identification.fit.write import fitted_text, start_text
         from neuroflight.sim.identification.sag import find_sag
         from neuroflight.toolchain.files import write_text
 
-        told = dict(line.partition("=")[::2] for line in self.header)
+        self.check_new(self.out, self.aircraft)
         aircraft = load_aircraft(self.aircraft)
         text = start_text(self.aircraft)
         base = Path(self.aircraft).parent if Path(self.aircraft).is_file() else None
         with progress_bars(self.json) as bar:
             show = bar("reading")
-            flights = [read_flight(path, aircraft.motor_count, self.part, told) for path in self.logs]
+            flights = self.flights(aircraft.motor_count)
             found = fit(flights, aircraft, progress=lambda stage: show(0.0, None, stage))
             sag = find_sag(flights, aircraft)
             changes = find_changes(found, aircraft, sag)
@@ -128,10 +119,9 @@ class Sync(OfPart):
         from neuroflight.training.fitness.margin import predicted_error
         from neuroflight.training.tasks.pieces import RecordedPieces
 
-        told = dict(line.partition("=")[::2] for line in self.header)
         try:
             flown = _flown_error(self.logs[0], self.part)
-            commands = load_commands(self.logs[0], self.part, told, cut=True)
+            commands = load_commands(self.logs[0], self.part, self.lines, cut=True)
         except (ScenarioError, TraceError):
             return None
         pieces = RecordedPieces.cut(commands.scenario(), max(PIECE_S, commands.length_s / PIECES_MAX))
@@ -142,7 +132,7 @@ class Sync(OfPart):
         return {"logged": flown, "by_file": before, "by_log": after}
 
     def _print(self, found: Fit, changes: Changes, sag: Sag | None, flights: list[Flight]) -> None:
-        from neuroflight.toolchain.contract import AXES
+        from neuroflight.sim.identification.fit.result import share_words
 
         if changes.numbers:
             rows = [("", "file", "log", "95 % interval")]
@@ -161,12 +151,9 @@ class Sync(OfPart):
                 rows,
                 numbers={"file", "log", "95 % interval"},
             )
-        shares = zip(AXES, found.explained_start, found.explained, strict=True)
         print(
-            f"{self.aircraft} explains of the turning that was held back: "
-            + ", ".join(f"{axis} {100 * before:.0f} %" for axis, before, _ in shares)
-            + "; with the log's numbers "
-            + ", ".join(f"{100 * after:.0f} %" for after in found.explained)
+            f"of what your sticks did to it, {self.aircraft} predicts: {share_words(found.explained_start)}; "
+            f"with the log's numbers: {share_words(found.explained)}"
         )
         if not changes:
             print(
@@ -177,10 +164,7 @@ class Sync(OfPart):
             print(f"- {cause}")
         if sag is None and not any(flight.has_voltage for flight in flights):
             print("the log has no voltage: a battery that changed looks like weight or weaker rotors")
-        for words, manoeuvre in found.cannot:
-            print(f"cannot tell: {words}; would: {manoeuvre}")
-        for note in found.notes:
-            print(f"note: {note}")
+        print_limits(found)
 
     def _advise(
         self, changes: Changes, margin: Margin | None, errors: dict[str, float] | None, written: Path | None
@@ -216,7 +200,7 @@ class Sync(OfPart):
             else:
                 print("refine the policy on it, a minute; swap it by yourself:")
             if changes.uneven:
-                print("  (no aircraft file tells of one weak motor: mend that first)")
+                print("  (the twin's motors are alike: mend the weak one first)")
             run = self.policy.parent if self.policy is not None else Path("RUN")
             out = Path("runs") / file.stem
             print(f"  neuroflight policy train --from {run} --aircraft {file} --out {out}")

@@ -46,6 +46,7 @@ def end_proof(args: _Asked, proof: Proof, start: Start) -> None:
     """Print the proof. Raises NeuroflightError, and keeps no policy.onnx, where it does not hold."""
     from neuroflight.toolchain.errors import NeuroflightError
     from neuroflight.toolchain.policy.check_stamp import stamp_path
+    from neuroflight.toolchain.policy.specialize import is_general
     from neuroflight.training.runs.train import POLICY
 
     if not args.json:
@@ -54,7 +55,10 @@ def end_proof(args: _Asked, proof: Proof, start: Start) -> None:
         policy = args.out / POLICY
         for path in (policy, stamp_path(policy)):
             path.unlink(missing_ok=True)
-        raise NeuroflightError(f"refused, {policy} was not kept: the new policy {proof.refusal}")
+        instead = ""
+        if is_general(start.folder / POLICY):
+            instead = f"; fly {start.name} itself: neuroflight image build --aircraft {args.aircraft}"
+        raise NeuroflightError(f"refused, {policy} was not kept: the new policy {proof.refusal}{instead}")
 
 
 def _print(args: _Asked, proof: Proof, start: Start) -> None:

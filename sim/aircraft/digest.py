@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 # Tables and keys of the file that do not change the twin's flight.
-NOT_FLOWN = ("name", "description", "pid", "known")
+NOT_FLOWN = ("name", "description", "pid", "known", "logged")
 
 # Old policies hold the digest of the aircraft file's bytes. Here: the digest of a shipped file's bytes, and
 # that of the aircraft it describes. The first two files gave the NF1's battery as 1.55 Ah instead of 1.5; the

@@ -70,7 +70,7 @@ def edit_aircraft(
     if isinstance(marks := expected.get("known"), dict) and "" not in expected:
         whole = over_base(expected, str(source))
         gone = [key for key in marks if not is_named(whole, key)]
-        text = _without_marks(text, gone)
+        text = without_marks(text, gone)
         expected["known"] = {key: mark for key, mark in marks.items() if key not in gone}
     if known:
         text = with_known(text, known)
@@ -87,7 +87,7 @@ def with_known(text: str, known: Mapping[str, Known]) -> str:
     """
     newline = newline_of(text)
     marked = [key for each in statements(text) if (key := _marked(each)) and _replaced(key, known)]
-    text = _without_marks(text, marked)
+    text = without_marks(text, marked)
     lines = [f"{known_line(*mark)}{newline}" for mark in known.items()]
     if text and not text.endswith("\n"):
         text += newline
@@ -175,7 +175,8 @@ def _marked(statement: Statement) -> str:
     return str(tomllib.loads(f"key = {quoted[1]}")["key"]) if quoted else statement.key
 
 
-def _without_marks(text: str, keys: Collection[str]) -> str:
+def without_marks(text: str, keys: Collection[str]) -> str:
+    """Return the text of an aircraft file without the marks of these keys."""
     return "".join(each.text for each in statements(text) if (_marked(each) or None) not in keys)
 
 

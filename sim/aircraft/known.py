@@ -20,7 +20,7 @@ from neuroflight.toolchain.strict_toml import StrictTable
 
 SOURCE_MAX = 160  # characters that a measuring command says of its log, at most
 _KEY = re.compile(r"([^\[\]]+?)(?:\[(\d{1,2})\])?")
-_UNMARKED = ("known", "pid", "format")  # a PID's gains are chosen, not known
+_UNMARKED = ("known", "logged", "pid", "format")  # a PID's gains are chosen, not known
 
 
 class How(Enum):

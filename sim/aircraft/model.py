@@ -35,6 +35,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into the 
 RPM = 2 * math.pi / 60  # [rad/s] in one revolution a minute
 COEFFICIENT_TERMS_MAX = 4  # of a polynomial of rotor speed
 EFFICIENCY_DEFAULT = 0.7  # of motor and ESC together; small brushless drives reach 0.6 to 0.8 under load
+MOTOR_THRUST = (0.1, 3.0)  # over the mean of an aircraft's motors
 CELL_VOLTAGE_MIN, CELL_VOLTAGE_MAX = 3.0, 4.45  # [V], full cells of any lithium chemistry in use
 
 
@@ -195,6 +196,7 @@ class Aircraft:
     pids: tuple[tuple[str, PidSettings], ...]  # by name; the first is the aircraft's own
     mass_properties: MassProperties
     known: Mapping[str, Known]  # how its numbers are known, by their keys; a number without has no mark
+    motor_thrust: tuple[float, ...] | None  # of each over the mean, by a log; the twin's are alike
 
     @property
     def motor_count(self) -> int:
@@ -278,6 +280,10 @@ def aircraft_of(document: dict[str, Any], where: str, meshes: Meshes) -> Aircraf
     body = root.optional_part("body", _body)
     pids = root.optional_part("pid", lambda table: _pids(table, len(rotors))) or ()
     known = root.optional_part("known", lambda table: read_known(table, document)) or {}
+    motors = len(rotors)
+    motor_thrust = root.optional_part(
+        "logged", lambda table: table.numbers("motor_thrust", motors, motors, *MOTOR_THRUST)
+    )
     root.finish()
     parts += mounted
     return Aircraft(
@@ -297,6 +303,7 @@ def aircraft_of(document: dict[str, Any], where: str, meshes: Meshes) -> Aircraf
         pids=pids,
         mass_properties=mass_properties(parts),
         known=known,
+        motor_thrust=motor_thrust,
     )
 
 

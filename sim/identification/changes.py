@@ -62,7 +62,7 @@ class Changes:
 
     numbers: Mapping[str, Change]
     causes: tuple[str, ...]
-    strengths: tuple[float, ...]  # thrust of each motor over that of the others; 1 where it did not change
+    strengths: tuple[float, ...]  # thrust of each motor over that of the others; 1 where it is the file's
 
     def __bool__(self) -> bool:
         """Return True if anything changed."""
@@ -85,7 +85,7 @@ class Changes:
 def find_changes(fit: Fit, aircraft: Aircraft, sag: Sag | None = None) -> Changes:
     """Compare a fit with the aircraft file that it began with. sag: of the flights' battery."""
     numbers = {each.key: each for each in _numbers(fit, aircraft, sag)}
-    strengths = _strengths(fit)
+    strengths = _strengths(fit, aircraft)
     causes = tuple(_causes(fit, numbers, strengths, sag, aircraft))
     return Changes(numbers, causes, strengths)
 
@@ -120,18 +120,25 @@ def _change(one: Parameter) -> Change:
 
 
 def _wide(half: float, one: Parameter, aircraft: Aircraft, of: Callable[[float], float]) -> float:
-    """Return how far the fit and the file's number may be apart by chance; half: of the fit's interval."""
+    """Return how far the fit and the file's number may be apart by chance; half: of the fit's interval.
+
+    A number of a file that a fit wrote is as unsure as this fit's, where its mark does not say how sure.
+    """
     mark = aircraft.known.get(MARKS.get(one.key, ""))
-    own = 0.0
+    own = 0.0 if aircraft.motor_thrust is None else half
     if mark is not None and mark.range is not None and mark.range[0] > 0.0:
         own = (of(mark.range[1]) - of(mark.range[0])) / 2.0
     return WIDER * math.hypot(half, own)
 
 
-def _strengths(fit: Fit) -> tuple[float, ...]:
-    """Return the thrust of each motor over the mean of the others; 1 where it is theirs."""
+def _strengths(fit: Fit, aircraft: Aircraft) -> tuple[float, ...]:
+    """Return the thrust of each motor over the mean of the others, beside the file's; 1 where it is that.
+
+    The file's own are as sure as those of the fit.
+    """
     motors = [one for key, one in fit.parameters.items() if key.startswith("motor.")]
-    values = np.array([one.value for one in motors])
+    own, wider = aircraft.motor_thrust, WIDER if aircraft.motor_thrust is None else WIDER * math.sqrt(2.0)
+    values = np.array([one.value for one in motors]) / (np.ones(len(motors)) if own is None else own)
     found = np.ones(len(motors))
     left = list(range(len(motors)))
     while len(left) > 2:  # the farthest first; the others' mean is then without it
@@ -140,7 +147,7 @@ def _strengths(fit: Fit) -> tuple[float, ...]:
         others = float(np.mean([values[number] for number in left if number != at]))
         one, share = motors[at], float(values[at]) / others
         half = (one.high - one.low) / 2.0
-        if not one.told or abs(share - 1.0) <= max(MOTOR, WIDER * half):
+        if not one.told or abs(share - 1.0) <= max(MOTOR, wider * half):
             break
         found[at] = share
         left.remove(at)
@@ -160,15 +167,16 @@ def _causes(
         yield f"the motors are in another order: the log's 1 to {len(fit.order)} drive the file's {order}"
     if fit.props_out:
         yield "the propellers turn the other way: props in became out, or the reverse"
+    others = "the others" if aircraft.motor_thrust is None else "in the file, beside the others"
     for number, share in enumerate(strengths):
         if share < 1.0:
             yield (
-                f"motor {number + 1} gives {100 * (1 - share):.0f} % less thrust than the others: a bent "
+                f"motor {number + 1} gives {100 * (1 - share):.0f} % less thrust than {others}: a bent "
                 "or wrong propeller, a bearing, a motor or an ESC that is dying; mend it before you train"
             )
         elif share > 1.0:
             yield (
-                f"motor {number + 1} gives {100 * (share - 1):.0f} % more thrust than the others: another "
+                f"motor {number + 1} gives {100 * (share - 1):.0f} % more thrust than {others}: another "
                 "propeller, or the others are worn"
             )
     yield from _responses(numbers)
@@ -260,17 +268,13 @@ def _turning(fit: Fit, numbers: Mapping[str, Change], aircraft: Aircraft, *, vol
 
 
 def _centre(fit: Fit, least: float) -> Iterator[str]:
-    """Yield where the weight went, by the moment that the motors hold against; least [m]."""
+    """Yield where the weight went, by the place where the motors' mean thrust holds it; least [m]."""
     for way, (ahead, behind) in SIDES.items():
-        name = f"centre.{way}"
-        if name not in fit.theta:
-            continue
-        at = fit.layout.at(name)
-        moved, sigma = fit.theta[name], math.sqrt(max(0.0, fit.estimate.covariance[at, at]))
-        if abs(moved) > max(least, 3.0 * sigma):
+        one = fit.parameters[f"centre.{way}"]
+        if one.told and abs(one.value) > max(least, WIDER * (one.high - one.low) / 2.0):
             yield (
-                f"the weight sits {1e3 * abs(moved):.0f} mm further {ahead if moved > 0 else behind} than in "
-                "the file: battery or camera moved"
+                f"the weight sits {1e3 * abs(one.value):.0f} mm further {ahead if one.value > 0 else behind} "
+                "than in the file: battery or camera moved"
             )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from dataclasses import replace
@@ -15,11 +16,12 @@ from neuroflight.sim.aircraft.model import load_aircraft
 from tests.cli.test_first_board import clone as clone
 from tests.cli.test_own_aircraft import Shell
 from tests.conftest import ROOT
-from tests.sim.identification.hidden_twins import BETAFLIGHT, CLASSES, betaflight_log, draw, loop_parameters
+from tests.sim.identification.hidden_flights import BETAFLIGHT, betaflight_log
+from tests.sim.identification.hidden_twins import CLASSES, draw, loop_parameters
 
 LOG = "LOG00001.BFL"
 SECONDS = 62.0
-STEPS = 8_000_000  # enough to see whether file and aircraft are sound
+ADDED = {" compare ": " --json"}  # to a line
 OFF_MAX = 0.1  # of what the fit tells
 
 
@@ -45,14 +47,16 @@ def test_the_steps_lead_from_a_log_to_an_image(clone: Path) -> None:
     (clone / "build").mkdir()
     (clone / "build" / "BETAFLIGHT").symlink_to(BETAFLIGHT)  # that the log was flown with
     run = Shell(clone)
+    told = {}
     for line in commands():
-        run(f"{line} --steps {STEPS}" if " policy train " in line else line)
+        more = next((more for word, more in ADDED.items() if word in line), "")
+        told[line] = run(f"{line}{more}")
     at = float(np.median(flight.trace.motors))
     true = loop_parameters(hidden.aircraft, at, flight.volts, hidden.shares)
     found = loop_parameters(load_aircraft(clone / "mine.toml"), at)
     for key in ("authority_roll", "authority_pitch", "authority_yaw", "up_s", "down_s"):
         assert found[key] == pytest.approx(true[key], rel=OFF_MAX), key
     (compare,) = (line for line in commands() if " compare " in line)
-    (level,) = run.json(f"{compare} --json")["equal_thrust"]
+    (level,) = json.loads(told[compare])["equal_thrust"]
     own, _, pid, betaflight = (np.mean(each["mae"]) for each in level["controllers"])
     assert own < betaflight and own < pid

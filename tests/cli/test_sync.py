@@ -74,12 +74,14 @@ def test_a_refinement_is_worth_it_from_a_twentieth_more_error_on(error: float, r
         (["heavy.npz", "--aircraft", "none.toml"], "none.toml"),
         (["heavy.npz", "--aircraft", "nf1", "--out", "mine.csv"], "mine.csv"),
         (["heavy.npz", "--aircraft", "nf1", "--to", "1"], "expected at least 3"),
+        (["heavy.npz", "--aircraft", "nf1", "--out", "other.toml"], "other.toml: exists; name a new file"),
     ],
 )
 def test_mistake_is_one_line_and_nothing_is_written(
     words: list[str], message: str, heavy: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(heavy.parent)
+    Path("other.toml").write_text("of before")
     before = set(Path().iterdir())
     assert message in refused(capsys, ["aircraft", "sync", *words])
     assert set(Path().iterdir()) == before

@@ -26,6 +26,8 @@ from neuroflight.training.runs.train import CHECKPOINT, POLICY, RECORD, Start, r
 SHIPPED = Path(__file__).parents[1] / "policies"
 FILE, KNOWN = "file", "nf1"  # a world of one aircraft; the recipe of an aircraft that is known
 STEPS = 20_000_000  # a minute on two cores
+# Of a general policy: it gains in the first ones, and with more its memory winds up on the ground.
+GENERAL_STEPS = 2_000_000
 LEARNING_RATE = 5e-4  # a tenth of a fresh run's: the policy flies already
 WARM_UP = 20
 PROBED = 10  # batches that tell how much the policy moves the motors of its new aircraft
@@ -76,6 +78,8 @@ def warm_config(start: Start, aircraft: Aircraft, overrides: Sequence[str] = ())
     config = load_config(start.folder / RECORD, [f"steps={STEPS}", *overrides])
     if config.world.aircraft != FILE:
         config = _of_one_aircraft(config)
+        if not any(each.partition("=")[0].strip() == "steps" for each in overrides):
+            config = replace(config, steps=GENERAL_STEPS)
     algorithm = config.algorithm
     if not isinstance(algorithm, PathwiseConfig):
         raise TrainingError(

@@ -8,7 +8,7 @@ second disagree (a sandwich, neighbours included), not from the noise model.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -30,11 +30,16 @@ from neuroflight.sim.identification.fit.model import (
 from neuroflight.sim.identification.fit.noise import density, whitener
 from neuroflight.toolchain.contract import AXES
 
-ROUNDS_MAX = 14
-CLEAN_FROM = 3  # rounds, before which the model says too little of the rates
-WORSE = 3e-5  # of the cost, that a step may bring: noise and weights are found anew in each
-MOVED_MAX = 0.1  # of a standard deviation in a round that ends them
-BLOCK_S = 1.0
+ROUNDS_MAX = 20
+CLEANED = 1  # times that rates are freed of what is not said of them, each time that a fit has settled
+DAMPING_MAX = 100.0  # from which no step is better
+ROUGH_ROUNDS = 4  # that take a typical noise
+WORSE = 1e-3  # of the squares, that a step may bring
+RIDGE = 1e-4  # of instruments that are all but the same, relative
+WIDER_MAX = 1e6
+LOUDER, SHORTEST = 1.2, 0.1  # of the residual's squares that a step by instruments may make; of its length
+MOVED_MAX = 0.2  # standard deviations, of all parameters together, in a round that ends them
+BLOCK_S = 0.25  # whose scores are taken for independent, but of neighbours
 BURST_S = 0.25  # blocks that are weighted by their power
 HEAVY = 1.7  # power over the usual from which one counts less
 SETTLE_S = 0.4  # at the start of a piece, where neither rotors' speeds nor the high-pass have settled
@@ -44,7 +49,7 @@ HIGHS_HZ = (
 )  # above which the equations leave out too much: of a fit, and of the one it is held against
 STEP = {"delay_s": 2e-4, "told_late_s": 2e-4}  # of the differences; others:
 STEP_ELSE = 0.01
-LIMITS = {"bend": (-0.5, 0.95), "delay_s": (0.0, 0.025), "told_late_s": (0.0, 0.02), "foot": (0.0, 0.5)}
+LIMITS = {"bend": (-0.5, 0.95), "delay_s": (0.0, 0.025), "told_late_s": (-0.005, 0.02), "foot": (0.0, 0.5)}
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,7 @@ class Estimate:
     rounds: int
     blocks: int
     weights: Array  # (3,) mean weight of the blocks
+    wider: float = 1.0  # factor of the covariance by all that moved, by which instruments say otherwise
 
 
 def prepare(
@@ -156,7 +162,7 @@ def see(data: Data, laid: Layout, theta: Array, wiring: Wiring) -> Seen:
             axis[AXES.index(name.removeprefix("turn."))] = 1.0
             found[:, at] = np.cross(course, axis).T
         elif at >= laid.shape:
-            found[:, at] = model.course(linear[name]).T
+            found[:, at] = model.course(linear[name]).T * laid.scale(name, values)
         else:
             step = STEP.get(name, STEP_ELSE)
             moved = theta.copy()
@@ -177,25 +183,42 @@ def see(data: Data, laid: Layout, theta: Array, wiring: Wiring) -> Seen:
 class Normal:
     """The normal equations of a round."""
 
-    matrix: Array  # (P, P)
+    matrix: Array  # (P, P) what multiplies the residuals, times their derivatives
+    own: Array  # (P, P) the former squared
     scores: Array  # (B, P) of blocks
     cost: float
     frequency: Array
     noise: Array
     weights: Array
+    whitened: list[tuple[Array, list[Array]]]  # of each output: filter, and weights (N,) of each piece
+    squares: float  # sum of the whitened and weighted residuals' squares
+    squares_before: float  # with filters and weights of the round before
 
 
-def _normal(data: Sequence[Data], seen: Sequence[Seen]) -> Normal:
-    """Whiten and weight the residuals, and sum up their products with the derivatives."""
+def _normal(
+    data: Sequence[Data],
+    seen: Sequence[Seen],
+    before: Normal | None = None,
+    *,
+    rough_hz: float = 0.0,
+    instruments: Sequence[Array] | None = None,
+) -> Normal:
+    """Whiten and weight the residuals, and sum up their products with the derivatives.
+
+    before: of the round before; rough_hz: take a typical noise of rates, not the residual's; see solve.
+    instruments: (3, P, N) of each piece, which take the place of the derivatives that are multiplied.
+    """
     count = seen[0].columns.shape[1]
-    matrix, cost = np.zeros((count, count)), 0.0
+    matrix, own, cost = np.zeros((count, count)), np.zeros((count, count)), 0.0
     scores = [np.zeros((1 + int(len(one.used) * one.model.piece.step_s / BLOCK_S), count)) for one in data]
     noises, weights, frequency = [], [], np.empty(0)
     outputs: list[tuple[bool, int]] = [(False, axis) for axis in range(3)]
     told = [one.speed_residual for one in seen if one.speed_residual is not None]
     if told:
         outputs += [(True, motor) for motor in range(told[0].shape[1])]
-    for speed, number in outputs:
+    whitened: list[tuple[Array, list[Array]]] = []
+    squares = squares_before = 0.0
+    for at, (speed, number) in enumerate(outputs):
         parts = [
             (one, look, score, look.speed_residual if speed else look.residual)
             for one, look, score in zip(data, seen, scores, strict=True)
@@ -205,6 +228,9 @@ def _normal(data: Sequence[Data], seen: Sequence[Seen]) -> Normal:
         frequency, noise = density(
             [left[:, number] for *_, left in known], [one.used for one, *_ in known], step
         )
+        if rough_hz and not speed:
+            shape = 1.0 + (rough_hz / np.maximum(frequency, frequency[1])) ** 2
+            noise = shape * np.exp(np.log(noise / shape).mean())
         taps = whitener(frequency, noise * (1.0 + (frequency / known[0][0].high_hz) ** 6), step)
         white = [one.filtered(left[:, number][None], taps)[0] for one, _, _, left in known]
         weight = _burst_weights(white, [one.used for one, *_ in known], step)
@@ -213,18 +239,30 @@ def _normal(data: Sequence[Data], seen: Sequence[Seen]) -> Normal:
             weights.append(
                 np.mean(np.concatenate([w[one.used] for w, (one, *_) in zip(weight, known, strict=True)]))
             )
+        whitened.append((taps, weight))
+        squares += sum(float(share @ error**2) for share, error in zip(weight, white, strict=True))
+        if before is not None:
+            old, shares = before.whitened[at]
+            for (one, _, _, left), share in zip(known, shares, strict=True):
+                squares_before += float(share @ one.filtered(left[:, number][None], old)[0] ** 2)
         rows = sum(int(one.used.sum()) for one, *_ in known)
         # Whittle's likelihood in the band, of the density that the residual itself has.
         band = 1.0 / (1.0 + (frequency / known[0][0].high_hz) ** 6)
         cost += rows * float((band * np.log(noise)).mean())
-        for (one, look, score, _), error, share in zip(known, white, weight, strict=True):
+        for number_of, ((one, look, score, _), error, share) in enumerate(
+            zip(known, white, weight, strict=True)
+        ):
             sides = look.speed_columns if speed else look.columns
             assert sides is not None
             slopes = sides[number]
             active = np.flatnonzero(slopes.any(axis=1))
             taken = one.filtered(slopes[active], taps, heard=not speed)
-            scaled = taken * share
+            by = taken
+            if instruments is not None and not speed:
+                by = one.filtered(instruments[number_of][number][active], taps, heard=True)
+            scaled = by * share
             matrix[np.ix_(active, active)] += scaled @ taken.T
+            own[np.ix_(active, active)] += scaled @ by.T
             products = (scaled * error).T
             edges = np.arange(0, len(products), max(1, round(BLOCK_S / one.model.piece.step_s)))
             sums = np.add.reduceat(products, edges, axis=0)
@@ -232,7 +270,18 @@ def _normal(data: Sequence[Data], seen: Sequence[Seen]) -> Normal:
             if len(sums) > len(score):
                 score[-1, active] += sums[len(score) :].sum(axis=0)
     blocks = np.concatenate(scores)
-    return Normal(matrix, blocks[blocks.any(axis=1)], cost, frequency, np.array(noises).T, np.array(weights))
+    return Normal(
+        matrix,
+        own,
+        blocks[blocks.any(axis=1)],
+        cost,
+        frequency,
+        np.array(noises).T,
+        np.array(weights),
+        whitened,
+        squares,
+        squares_before,
+    )
 
 
 def _burst_weights(white: Sequence[Array], used: Sequence[Flags], step: float) -> list[Array]:
@@ -258,39 +307,56 @@ def solve(
     wiring: Wiring,
     *,
     rounds: int = ROUNDS_MAX,
+    rough_hz: float = 0.0,
     free: Flags | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Estimate:
-    """Run Gauss-Newton from `theta`; free: which parameters move (P,), all unless given."""
+    """Run Gauss-Newton from `theta`; free: which parameters move (P,), all unless given.
+
+    rough_hz: the first rounds take the noise for one that is typical, gusts' below that frequency, the
+    gyro's above it: the residual of a bad start says more of the start than of the noise. 0: they do not.
+    """
     free = np.ones(len(theta), bool) if free is None else free
     prior = np.diag(1.0 / laid.spread**2)
-    damping = 0.0
-    best: tuple[float, Array, Normal] | None = None
+    damping, cleaned = 0.0, 0
+    best: tuple[Array, Normal] | None = None
     current = theta.copy()
     number = 0
+
+    def away(at: Array) -> float:
+        return float(((at - laid.start) ** 2 / laid.spread**2).sum())
+
     for one in data:
         one.model.clean(np.zeros(3))
     for number in range(rounds):
         looks = [see(one, laid, current, wiring) for one in data]
-        now = _normal(data, looks)
-        cost = now.cost + float(((current - laid.start) ** 2 / laid.spread**2).sum())
-        if best is not None and cost > best[0] + WORSE * abs(best[0]) and damping < 1e4:
-            damping = max(4.0 * damping, 0.1)
-            current = best[1] + _step(best[2], prior, laid, best[1], free, damping)
-            continue
+        now = _normal(
+            data, looks, None if best is None else best[1], rough_hz=rough_hz * (number < ROUGH_ROUNDS)
+        )
         moved = np.inf
         if best is not None:
-            moved = float(np.max(np.abs((current - best[1]) * np.sqrt(np.diag(now.matrix + prior)))))
-        best = (cost, current.copy(), now)
-        damping = damping / 4.0 if damping > 0.05 else 0.0
-        if moved < MOVED_MAX:
-            break
-        for one, look in zip(data, looks, strict=True) if number >= CLEAN_FROM else ():
-            one.model.clean(look.residual)
-        current = best[1] + _step(now, prior, laid, best[1], free, damping)
+            # By the noise and the weights that the step was taken for: those of this round are others.
+            worse = now.squares_before + away(current) - best[1].squares - away(best[0])
+            if worse > WORSE * best[1].squares and damping < DAMPING_MAX:
+                damping = max(4.0 * damping, 0.1)
+                current = best[0] + _step(best[1], prior, laid, best[0], free, damping)
+                continue
+            step = current - best[0]
+            moved = float(np.sqrt(step @ (now.matrix + prior) @ step))
+        best = current, now
+        damping = damping / 4.0 if 0.05 < damping < DAMPING_MAX else 0.0
+        if moved < MOVED_MAX and (number >= ROUGH_ROUNDS or not rough_hz):
+            if cleaned == CLEANED:
+                break
+            cleaned += 1
+            for one, look in zip(data, looks, strict=True):
+                one.model.clean(look.residual)
+            best = None  # squares from here on are of other rates
+            continue
+        current = current + _step(now, prior, laid, current, free, damping)
         progress(f"round {number + 1}")
-    assert best is not None
-    cost, at, normal = best
+    at, normal = (current, now) if best is None else best
+    cost = normal.cost + away(at)
     return Estimate(
         at,
         _covariance(normal, prior, free),
@@ -300,6 +366,94 @@ def solve(
         number + 1,
         len(normal.scores),
         normal.weights,
+    )
+
+
+def _two_stage(normal: Normal) -> Normal:
+    """Weigh the moment equations of instruments by their noise: least squares of them, which has a minimum.
+
+    Directions that no instrument speaks of then stay where the start has them.
+    """
+    size = np.sqrt(np.maximum(np.diag(normal.own), 1e-30))
+    scaled = normal.own / np.outer(size, size) + RIDGE * np.eye(len(size))
+    taken = normal.matrix.T @ (np.linalg.inv(scaled) / np.outer(size, size))
+    return replace(
+        normal,
+        matrix=taken @ normal.matrix,
+        own=taken @ normal.own @ taken.T,
+        scores=normal.scores @ taken.T,
+    )
+
+
+def solve_by(
+    instruments: Sequence[Data],
+    data: Sequence[Data],
+    laid: Layout,
+    theta: Array,
+    wiring: Wiring,
+    *,
+    rounds: int = ROUNDS_MAX,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Estimate:
+    """Solve the moment equations of instruments, the pieces as commands alone move them, from `theta`."""
+    free, prior = np.ones(len(theta), bool), np.diag(1.0 / laid.spread**2)
+    current, step, shorter = theta.copy(), np.zeros(len(theta)), 1.0
+    normal: Normal | None = None
+    number = 0
+    for number in range(rounds):
+        tried = current + shorter * step
+        looks = [see(one, laid, tried, wiring) for one in data]
+        by = [see(one, laid, tried, wiring).columns for one in instruments]
+        now = _two_stage(_normal(data, looks, normal, instruments=by))
+        if normal is not None and now.squares_before > LOUDER * normal.squares and shorter > SHORTEST:
+            shorter /= 2.0
+            continue
+        current, normal, shorter = tried, now, 1.0
+        step = _step(normal, prior, laid, current, free, 0.0)
+        progress(f"instruments, round {number + 1}")
+        if np.max(np.abs(step) / np.sqrt(np.diag(_covariance(normal, prior, free)))) < MOVED_MAX:
+            break
+    assert normal is not None
+    return Estimate(
+        current,
+        _covariance(normal, prior, free),
+        normal.cost,
+        normal.frequency,
+        normal.noise,
+        number + 1,
+        len(normal.scores),
+        normal.weights,
+    )
+
+
+def combined(few: Estimate, many: Estimate) -> Estimate:
+    """Return the best mean of estimates by instruments, and by all that moved, each with what it can be off.
+
+    `many` is the sharper one, if nothing moved the motors but commands and noise. By how much more than that
+    the two differ, against their intervals, tells how much wider its covariance has to be: one factor for all
+    directions, by the moment that makes the differences' squares what they should be. Source: Hausman 1978;
+    Paule and Mandel 1982; from memory.
+    """
+    root = np.linalg.cholesky(few.covariance)
+    inverse = np.linalg.inv(root)
+    sharp, way = np.linalg.eigh(inverse @ many.covariance @ inverse.T)  # over the variance by instruments
+    sharp = np.clip(sharp, 1e-9, 1.0 - 1e-3)
+    apart = way.T @ inverse @ (many.theta - few.theta)
+
+    def expected(wider: float) -> Array:
+        return np.asarray(1.0 - sharp + (wider - 1.0) * sharp)
+
+    low, high = 1.0, WIDER_MAX
+    for _ in range(60):
+        wider = float(np.sqrt(low * high))
+        low, high = (wider, high) if (apart**2 / expected(wider)).sum() > len(apart) else (low, wider)
+    share = (1.0 - sharp) / expected(low)
+    back = root @ way
+    return replace(
+        many,
+        theta=few.theta + back @ (share * apart),
+        covariance=(back * (1.0 - share * (1.0 - sharp))) @ back.T,
+        wider=low,
     )
 
 
@@ -319,17 +473,19 @@ def _step(normal: Normal, prior: Array, laid: Layout, theta: Array, free: Flags,
 
 
 def _covariance(normal: Normal, prior: Array, free: Flags) -> Array:
-    """Return the sandwich over blocks, neighbours with half weight, at least the noise model's own."""
+    """Return the sandwich over blocks, neighbours with half weight, nowhere less than by the noise alone."""
     at = np.flatnonzero(free)
     bread = np.linalg.inv((normal.matrix + prior)[np.ix_(at, at)])
+    least = bread @ (normal.own + prior)[np.ix_(at, at)] @ bread.T  # by the noise alone
     scores = normal.scores[:, at]
     beside = scores[1:].T @ scores[:-1]
     meat = scores.T @ scores + 0.5 * (beside + beside.T)
     count = len(scores)
     meat *= count / max(1.0, count - min(len(at), 0.5 * count))
     meat += prior[np.ix_(at, at)]
-    robust = bread @ meat @ bread
-    own = np.sqrt(np.maximum(np.diag(robust), np.diag(bread)) / np.maximum(np.diag(robust), 1e-300))
+    root = np.linalg.cholesky(least)
+    inverse = np.linalg.inv(root)
+    size, way = np.linalg.eigh(inverse @ bread @ meat @ bread.T @ inverse.T)  # of the sandwich over it
     found = np.zeros_like(prior)
-    found[np.ix_(at, at)] = robust * np.outer(own, own)
+    found[np.ix_(at, at)] = (root @ way * np.maximum(size, 1.0)) @ (root @ way).T
     return found

@@ -9,21 +9,34 @@ from pathlib import Path
 import numpy as np
 
 from neuroflight.sim.aircraft.model import Aircraft
-from neuroflight.sim.identification.fit.estimate import Data, Estimate, Wiring, prepare, solve
+from neuroflight.sim.identification.fit.estimate import (
+    Data,
+    Estimate,
+    Wiring,
+    combined,
+    prepare,
+    solve,
+    solve_by,
+)
 from neuroflight.sim.identification.fit.flight import Flight
 from neuroflight.sim.identification.fit.held import explained, held_back
+from neuroflight.sim.identification.fit.instruments import quiet, speaks
 from neuroflight.sim.identification.fit.model import Layout, layout
-from neuroflight.sim.identification.fit.parameters import parameters
+from neuroflight.sim.identification.fit.parameters import flown_at, parameters
 from neuroflight.sim.identification.fit.result import Fit
 from neuroflight.sim.identification.fit.wiring import find_wiring
+from neuroflight.toolchain.contract import AXES
 from neuroflight.toolchain.errors import TraceError
 
-STARTS = (-0.45, 0.0, 0.45)  # of the logarithms of the response's times
-TRIED_ROUNDS = 5  # of each start
+# Of the logarithms of the response's times, and solve's rough_hz; flights differ in which of them lead home.
+STARTS = ((0.0, 20.0), (0.0, 100.0), (-0.4, 0.0), (0.4, 0.0))
+TRIED_ROUNDS = 7  # of each start
 TRIED_S = 40.0  # of flight that starts are tried on
 TURNED_SCORE = 4.0  # standard deviations of yaw's factor and kick together
 MODEL_ERROR = 2.0  # of the squared half of the difference of two fits
-EXPLAINED_MIN = 0.05  # of one axis at least: else the log is another aircraft's
+BY_ROUNDS, KEPT_ROUNDS = 10, 4  # by commands, and of what was not held back
+NO_COMMANDS = "no setpoints: gusts and wash that the motors answered make what is found too small or large"
+EXPLAINED_MIN = 0.05  # of what the sticks made of one axis at least: else the log is another aircraft's
 
 Progress = Callable[[str], None]
 
@@ -40,10 +53,16 @@ def fit(flights: Sequence[Flight], start: Aircraft, *, progress: Progress = lamb
             raise TraceError(
                 f"log {flight.name}: {flight.motor_count} motors, the aircraft has {start.motor_count}"
             )
-    laid = layout(start, speeds=any(flight.has_speed for flight in flights))
     data = prepare(flights, start)
     if not data:
         raise TraceError("no flight has a second in the air without a gap; fly longer")
+    usual, volts = flown_at(data)
+    laid = layout(
+        start,
+        speeds=any(flight.has_speed for flight in flights),
+        pack=any(flight.pack for flight in flights),
+        usual=float(usual.mean()),
+    )
     progress("motor order")
     wiring = find_wiring(data, start, laid, laid.start)
     tried = _best_start(data, laid, wiring, progress)
@@ -52,24 +71,36 @@ def fit(flights: Sequence[Flight], start: Aircraft, *, progress: Progress = lamb
     if turned := _props_turned(laid, tried):
         wiring = Wiring(wiring.order, tuple(-spin for spin in wiring.spins))
         theta[[laid.at("factor.yaw"), laid.at("kick")]] *= -1.0
-    found = solve(data, laid, theta, wiring, progress=progress)
+    by_all = solve(data, laid, theta, wiring, progress=progress)
     progress("other weights")
-    found = _with_model_error(
-        found, solve(prepare(flights, start, other=True), laid, found.theta, wiring, rounds=5)
+    by_all = _with_model_error(
+        by_all, solve(prepare(flights, start, other=True), laid, by_all.theta, wiring, rounds=5)
     )
+    moved = any(map(speaks, data))
+    found = by_all
+    if moved:
+        few = solve_by(quiet(data), data, laid, by_all.theta, wiring, rounds=BY_ROUNDS, progress=progress)
+        found = combined(few, by_all)
     progress("held back")
     kept = prepare(flights, start, lambda flight, times: ~held_back(flight, times))
     shares = shares_start = np.full(3, np.nan)
     if kept and sum(one.used.sum() for one in data) > 1.2 * sum(one.used.sum() for one in kept):
-        other = solve(kept, laid, found.theta, wiring, rounds=4)
+        other = solve(kept, laid, found.theta, wiring, rounds=KEPT_ROUNDS)
+        if moved:
+            few = solve_by(quiet(kept), kept, laid, found.theta, wiring, rounds=KEPT_ROUNDS)
+            other = combined(few, other)
         shares = explained(flights, start, held_back, (laid, other.theta, wiring))
         shares_start = explained(flights, start, held_back)
     if not np.isnan(shares).all() and np.nanmax(shares) < EXPLAINED_MIN:
-        told = ", ".join(f"{100 * share:.0f}" for share in shares)
+        said = ", ".join(
+            f"{axis} {100 * share:.0f} %"
+            for axis, share in zip(AXES, shares, strict=True)
+            if not np.isnan(share)
+        )
         raise TraceError(
-            f"{', '.join(flight.name for flight in flights)}: the twin's equations explain {told} % of roll, "
-            f"pitch and yaw; expected {100 * EXPLAINED_MIN:.0f} % of one at least: is it a flight with moved "
-            "sticks, and of this aircraft?"
+            f"{', '.join(flight.name for flight in flights)}: of what the sticks did to the aircraft the "
+            f"twin predicts {said}; expected {100 * EXPLAINED_MIN:.0f} % of one axis at least: is it a log "
+            "of this aircraft, flown in the air, with motors and gyro as --weight, --arm and --props say?"
         )
     values = laid.values(found.theta)
     return Fit(
@@ -80,24 +111,26 @@ def fit(flights: Sequence[Flight], start: Aircraft, *, progress: Progress = lamb
         order=wiring.order,
         spins=wiring.spins,
         props_out=bool(turned),
-        notes=_notes(flights, start),
+        notes=(*_notes(flights, start), *(() if moved else (NO_COMMANDS,))),
         seconds=sum(float(one.used.sum()) * one.model.piece.step_s for one in data),
         layout=laid,
         estimate=found,
         wiring=wiring,
         theta=values,
+        usual=usual,
+        volts=volts,
     )
 
 
 def _best_start(data: Sequence[Data], laid: Layout, wiring: Wiring, progress: Progress) -> Estimate:
-    """Try several times of the rotors' response and return where the best of them led."""
+    """Try several starts and return where the best of them led."""
     some: list[Data] = []
     for one in sorted(data, key=lambda each: -int(each.used.sum())):
         if some and sum(float(each.used.sum()) * each.model.piece.step_s for each in some) > TRIED_S:
             break
         some.append(one)
     tried: list[Estimate] = []
-    for away in STARTS:
+    for away, rough_hz in STARTS:
         theta = laid.start.copy()
         for at, name in enumerate(laid.names):
             if name == "log_up":
@@ -105,7 +138,7 @@ def _best_start(data: Sequence[Data], laid: Layout, wiring: Wiring, progress: Pr
             elif name == "log_gain":
                 theta[at] -= away
         progress(f"start {len(tried) + 1} of {len(STARTS)}")
-        tried.append(solve(some, laid, theta, wiring, rounds=TRIED_ROUNDS))
+        tried.append(solve(some, laid, theta, wiring, rounds=TRIED_ROUNDS, rough_hz=rough_hz))
     return min(tried, key=lambda each: each.cost)
 
 

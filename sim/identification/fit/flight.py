@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from neuroflight.sim.arrays import Array, Flags
+from neuroflight.sim.arrays import Array, Array32, Flags
 from neuroflight.sim.blackbox.firmware import Maker
 from neuroflight.sim.blackbox.flight import WHOLE, Part, armed_rows, check_motors, part_rows
 from neuroflight.sim.blackbox.log import Log, read_log
@@ -20,7 +20,6 @@ from neuroflight.sim.recorded.log import SUFFIXES, split_number
 from neuroflight.toolchain.errors import TraceError
 
 RATE_MIN_HZ = 200.0  # of a log: rotors move much between slower rows
-RAW_MIN_HZ = 700.0  # of rows, from which a gyro before its filters is taken: vibration folds into slower ones
 GRID_HZ = 1000.0  # that a piece is brought near to: faster logs are averaged, slower ones interpolated
 GAP_S = 0.0045  # and what is longer than this and than 2.5 rows ends a piece
 PIECE_MAX_S = 20.0  # longer ones are cut
@@ -43,6 +42,7 @@ class Piece:
     voltage: Array | None  # (N,) [V]
     force: Array | None  # (N, 3) [m/s^2], specific force
     flown: Flags  # (N,) in the air, as far as the gyro tells
+    asked: Array | None = None  # (N, 4) setpoints [rad/s], and the throttle, 0 where it is not logged
 
     @property
     def seconds(self) -> float:
@@ -62,6 +62,7 @@ class Flight:
     idle: float | None  # motor fraction at zero thrust
     current: float | None  # [A] on average
     notes: tuple[str, ...]
+    pack: bool = True  # on a battery; simulated flights are on a bench supply, unless they are told a charge
 
     @property
     def motor_count(self) -> int:
@@ -81,6 +82,9 @@ class Flight:
         return any(piece.voltage is not None for piece in self.pieces)
 
 
+NAMES = ("motors", "gyro", "speed", "voltage", "force", "asked")
+
+
 @dataclass(frozen=True, eq=False)
 class _Rows:
     """The armed rows of a log."""
@@ -91,6 +95,7 @@ class _Rows:
     speed: Array | None
     voltage: Array | None
     force: Array | None
+    asked: Array | None
 
 
 def read_flight(
@@ -105,15 +110,30 @@ def read_flight(
     if file.suffix == ".npz":
         trace = load_trace(file)
         rows = part_rows(str(path), trace.t, part)
-        told = _Rows(trace.t[rows], trace.motors[rows], trace.gyro[rows].astype(np.float64), None, None, None)
+        told = _Rows(
+            trace.t[rows],
+            trace.motors[rows],
+            trace.gyro[rows].astype(np.float64),
+            None,
+            None,
+            None,
+            _asked(trace.setpoint[rows], trace.throttle[rows]),
+        )
         control = trace.step_s
         late = _late(trace.rate[rows], told.gyro, control)
         step = TWIN_STEP_S if late > 0.3 * control > 0.3 * TWIN_STEP_S else control
-        return _flight(path, told, motors, control, step, mean_path(control, step), None, None, ())
+        flight = _flight(path, told, motors, control, step, mean_path(control, step), None, None, ())
+        return replace(flight, pack=False)
     if file.suffix.lower() not in SUFFIXES:
         raise TraceError(f"log {path}: expected a trace (.npz) or a blackbox log ({', '.join(SUFFIXES)})")
     log = read_log(file, number, lines=lines)
     return log_flight(path, log, motors, part)
+
+
+def _asked(setpoint: Array32, throttle: Array32 | None) -> Array:
+    """Return what the pilot asked (N, 4); 0 where the stick commanded an angle, and without a throttle."""
+    other = np.zeros(len(setpoint)) if throttle is None else throttle
+    return np.nan_to_num(np.column_stack([setpoint, other]).astype(np.float64))
 
 
 def _late(rate: Array, gyro: Array, step: float) -> float:
@@ -134,7 +154,7 @@ def log_flight(path: Path, log: Log, motors: int, part: Part = WHOLE) -> Flight:
         raise TraceError(f"log {path}: has {told.motors_note or 'no motors or no gyro; log both'}")
     rows = armed_rows(log, told, part)
     check_motors(log, told, rows)
-    raw, whence = raw_gyro(log, told) if log.rate_hz > RAW_MIN_HZ else (None, "")
+    raw, whence = raw_gyro(log, told)
     gyro = told.gyro if raw is None else raw
     ours = log.maker is Maker.NEUROFLIGHT
     loop = control_rate_hz(log)
@@ -156,6 +176,9 @@ def log_flight(path: Path, log: Log, motors: int, part: Part = WHOLE) -> Flight:
         speed,
         None if voltage is None else voltage[rows],
         None if told.acceleration is None else told.acceleration[rows],
+        None
+        if told.setpoint is None
+        else _asked(told.setpoint[rows], None if told.throttle is None else told.throttle[rows]),
     )
     current = None if told.current is None else float(np.mean(told.current[rows]))
     return _flight(
@@ -225,7 +248,7 @@ def _piece(rows: _Rows, part: slice, usual: float) -> Piece:
         level = np.column_stack([np.interp(even, time, column) for column in taken.T])
         return level.reshape(count, *values.shape[1:])
 
-    told = {name: brought(getattr(rows, name)) for name in ("motors", "gyro", "speed", "voltage", "force")}
+    told = {name: brought(getattr(rows, name)) for name in NAMES}
     merged = max(1, int(1.0 / (GRID_HZ * step) + 0.05))
     if merged > 1:
         count //= merged

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
 
 from neuroflight.sim.aircraft.model import Aircraft, FirstOrderResponse, Propulsion, TorqueResponse
 from neuroflight.sim.arrays import Array
@@ -26,6 +28,8 @@ LEAKS = (
     2 * np.pi * 5.0,
 )  # [1/s] of the high-pass: of a fit, and of the one that it is held against
 DELAY_MAX_S = 0.03
+SLOW_VOLTS_S = 2.0  # beside which the filters of logged volts are quick
+SLOPE = 1e-3  # step of a factor, for a slope
 
 Theta = dict[str, float]
 
@@ -38,16 +42,47 @@ class Layout:
     start: Array  # (P,)
     spread: Array  # (P,) standard deviation of the start's value before a log is seen
     shape: int  # the first of them change the rotors' course; the others are linear
+    curve: tuple[float, float]  # of the start: bend, and foot over top
+    top: float  # [rad/s] of the start
+    usual: float  # motor value that authority and kick are taken at
 
     def at(self, name: str) -> int:
         return self.names.index(name)
 
     def values(self, theta: Array) -> Theta:
-        return dict(zip(self.names, map(float, theta), strict=True))
+        """Return the parameters of the equations.
+
+        A fit moves authority and kick at the usual motor value, which logs tell whatever the curve is; the
+        equations take moment and momentum over inertia.
+        """
+        values = dict(zip(self.names, map(float, theta), strict=True))
+        return {name: value * self.scale(name, values) for name, value in values.items()}
+
+    def scale(self, name: str, values: Mapping[str, float]) -> float:
+        """Return what a unit of a fit's parameter is in the equations."""
+        if name != "kick" and not name.startswith("factor."):
+            return 1.0
+        top = float(np.exp(values["log_top"])) / self.top if "log_top" in values else 1.0
+        foot = values.get("foot", self.curve[1])
+        (level, rise), (level_then, rise_then) = (
+            _curve(bend, end, self.usual) for bend, end in ((values["bend"], foot), self.curve)
+        )
+        if name == "kick":
+            return rise_then / (rise * top)
+        return level_then * rise_then / (level * rise * top**2)
 
 
-def layout(aircraft: Aircraft, *, speeds: bool) -> Layout:
-    """Lay out the parameters for an aircraft; speeds: rotor speeds are logged."""
+def _curve(bend: float, foot: float, at: float) -> tuple[float, float]:
+    """Return the speed over that at full command, and its slope, at a motor value; not near 0."""
+    level, rise = foot + (1.0 + bend - foot - bend * at) * at, 1.0 + bend - foot - 2.0 * bend * at
+    return max(level, 0.02), max(rise, 0.02)
+
+
+def layout(aircraft: Aircraft, *, speeds: bool, pack: bool, usual: float = 0.4) -> Layout:
+    """Lay out the parameters for an aircraft.
+
+    speeds: rotor speeds are logged; pack: it flew on its battery; usual: motor value of the flights.
+    """
     propulsion, motors = aircraft.propulsion, aircraft.motor_count
     a, _, c = propulsion.speed_curve
     top = sum(propulsion.speed_curve)
@@ -72,6 +107,8 @@ def layout(aircraft: Aircraft, *, speeds: bool) -> Layout:
     rows += [("delay_s", propulsion.delay, 0.004), ("bend", -a / top, 0.15)]
     if speeds:
         rows += [("log_top", np.log(top), 1.0), ("foot", c / top, 0.1), ("told_late_s", 0.001, 0.003)]
+    if aircraft.battery is not None and propulsion.supply_voltage is not None:
+        rows += [("sag", 1.0, 0.5) if pack else ("sag", 0.0, 1.0)]
     shape = len(rows)
     rows += [(f"factor.{axis}", 1.0, 0.7) for axis in AXES]
     rows += [("kick", 1.0, 0.7)]
@@ -84,7 +121,8 @@ def layout(aircraft: Aircraft, *, speeds: bool) -> Layout:
     ]
     rows += [("inflow", 0.0 if advance is None else -advance.thrust[0], 0.5), ("drag", 1.0, 0.7)]
     names, start, spread = zip(*rows, strict=True)
-    return Layout(names, np.array(start), np.array(spread), shape)
+    curve = (-a / top, c / top)
+    return Layout(names, np.array(start), np.array(spread), shape, curve, float(top), usual)
 
 
 def shaped(propulsion: Propulsion, values: Mapping[str, float]) -> Propulsion:
@@ -115,10 +153,13 @@ class PieceModel:
     def __init__(self, flight: Flight, piece: Piece, aircraft: Aircraft, leak: float = LEAKS[0]) -> None:
         self.flight, self.piece, self.aircraft, self.leak = flight, piece, aircraft, leak
         self.dt = piece.step_s / self.finer
-        self.motors = self._fine(piece.motors)
-        self.rate = self._fine(piece.gyro)  # without the noise, as far as it is known
+        self.motors = np.clip(self.fine(piece.motors), 0.0, 1.0)
+        self.rate = self.fine(piece.gyro)  # without the noise, as far as it is known
         known = aircraft.propulsion.supply_voltage is not None and piece.voltage is not None
-        self.voltage = self._fine(piece.voltage[:, None]) if known and piece.voltage is not None else None
+        # Logged volts are filtered and late: the slow part is theirs, what is quicker is the sag's.
+        self.voltage = None
+        if known and piece.voltage is not None:
+            self.voltage = self.fine(self.slow(piece.voltage, piece.step_s)[:, None])
         self.measured = self.passed(piece.gyro[1:] - piece.gyro[:-1], piece.step_s)
 
     @cached_property
@@ -126,11 +167,13 @@ class PieceModel:
         """Steps of the model in one row."""
         return max(1, int(np.ceil(self.piece.step_s / 0.0012)))
 
-    def _fine(self, values: Array) -> Array:
+    def fine(self, values: Array) -> Array:
+        """Return rows (N, K) at the model's steps."""
         if self.finer == 1:
             return values
+        # Straight lines would weaken what is quick, which looks like rotors that are quicker and later.
         rows = np.arange((len(values) - 1) * self.finer + 1) / self.finer
-        return np.column_stack([np.interp(rows, np.arange(len(values)), column) for column in values.T])
+        return np.asarray(CubicSpline(np.arange(len(values)), values)(rows), np.float64)
 
     def passed(self, gains: Array, step: float) -> Array:
         """Sum gains (N - 1, K) of each row over the row before through the high-pass: (N, K)."""
@@ -147,22 +190,53 @@ class PieceModel:
         """Return rotor speeds of the fine steps (K, M) [rad/s]."""
         propulsion = shaped(self.aircraft.propulsion, values)
         hold = self.flight.control_s
-        late = (
-            float(np.clip(values["delay_s"], 0.0, DELAY_MAX_S))
-            - 0.5 * self.flight.twin_s
-            + 0.5 * (hold - self.dt)
-        )
+        late = float(np.clip(values["delay_s"], 0.0, DELAY_MAX_S)) + 0.5 * (hold - self.dt)
         acting = delayed(self.motors, late / self.dt)
         targets = target_speed(acting, propulsion, self.voltage)
-        return speeds_along(targets[0], targets, self.dt, propulsion)[:-1]
+        speeds = speeds_along(targets[0], targets, self.dt, propulsion)
+        if "sag" in values:
+            targets = np.ascontiguousarray(targets * self._sagged(speeds, values)[:, None])
+            speeds = speeds_along(targets[0], targets, self.dt, propulsion)
+        return speeds[:-1]
+
+    def _sagged(self, speeds: Array, values: Mapping[str, float]) -> Array:
+        """Return the voltage (K,) over its slow part, by the power that rotors of speeds (K + 1, M) draw.
+
+        The slow part is that of logged volts, without these the mean. The sag of `values` is that of the
+        pack's resistance times the power over the start file's.
+        """
+        propulsion, battery = self.aircraft.propulsion, self.aircraft.battery
+        assert battery is not None and propulsion.supply_voltage is not None
+        drag = thrust_and_torque(np.ascontiguousarray(speeds[1:]), propulsion)[1]
+        gained = propulsion.rotor_inertia * np.diff(speeds, axis=0) / self.dt
+        torque = abs(values["factor.yaw"]) * drag + abs(values["kick"]) * gained
+        power = np.maximum(speeds[1:] * torque, 0.0).sum(axis=1) / propulsion.efficiency
+        usual = power.mean() if self.voltage is None else self.slow(power, self.dt)
+        lost = values["sag"] * battery.resistance / propulsion.supply_voltage**2 * (power - usual)
+        return np.asarray(np.clip(1.0 - lost, 0.5, 1.5), np.float64)
+
+    @staticmethod
+    def slow(values: Array, step: float) -> Array:
+        """Return the mean of values (N,) over SLOW_VOLTS_S around."""
+        return np.asarray(uniform_filter1d(values, round(SLOW_VOLTS_S / step), mode="nearest"), np.float64)
+
+    def over(self, course: Array) -> Array:
+        """Return the means (K - 1, J) of a load (K, J) over the fine steps.
+
+        The twin takes that of its step's end, half a step early, while the kick comes with the speeds.
+        """
+        lead = 0.5 * min(1.0, self.flight.twin_s / self.dt)
+        return np.asarray((0.5 - lead) * course[:-1] + (0.5 + lead) * course[1:], np.float64)
 
     def told(self, speeds: Array, values: Mapping[str, float]) -> Array:
         """Return the speeds (N, M) [rad/s] that ESCs tell of these, at the log's rows."""
-        return delayed(speeds, max(0.0, values["told_late_s"]) / self.dt)[:: self.finer]
+        late = values["told_late_s"] / self.dt  # beside the gyro, which may be the later of both
+        moved = delayed(speeds, late) if late >= 0.0 else delayed(speeds[::-1], -late)[::-1]
+        return moved[:: self.finer]
 
     def clean(self, residual: Array) -> None:
         """Take the residual (N, 3) of a fit out of the rates that brake and couple the turning."""
-        self.rate = self._fine(self.piece.gyro - residual)
+        self.rate = self.fine(self.piece.gyro - residual)
 
 
 def delayed(values: Array, steps: float) -> Array:
@@ -205,10 +279,22 @@ def loads(model: PieceModel, speeds: Array, order: Array, spins: Array) -> Loads
         each=np.stack([places[:, 1] * thrust, -places[:, 0] * thrust, -spins * torque], axis=2),
         lift=thrust.sum(axis=1),
         inflow=inflow,
-        drag=np.column_stack([still, still, -rate[:, 2] * (turns @ (places[:, :2] ** 2).sum(axis=1))]),
+        drag=_braking(speeds, rate, places, propulsion),
         air=(np.column_stack([still, -z, y]), np.column_stack([z, still, -x])),
         momentum=propulsion.rotor_inertia * speeds * spins,
     )
+
+
+def _braking(speeds: Array, rate: Array, places: Array, propulsion: Propulsion) -> Array:
+    """Return the moments (K, 3) of the rotors' drag and rolling moment, by the turning alone."""
+    moment = np.zeros((len(speeds), 3))
+    for speed, (x, y, z) in zip(speeds.T, places, strict=True):
+        along = speed * (rate[:, 1] * z - rate[:, 2] * y), speed * (rate[:, 2] * x - rate[:, 0] * z)
+        force = [-propulsion.drag_coefficient * each for each in along]
+        moment[:, 0] += -z * force[1] - propulsion.rolling_coefficient * along[0]
+        moment[:, 1] += z * force[0] - propulsion.rolling_coefficient * along[1]
+        moment[:, 2] += x * force[1] - y * force[0]
+    return moment
 
 
 def strengths(values: Mapping[str, float], motors: int) -> Array:
@@ -224,26 +310,40 @@ def factors_of(values: Mapping[str, float]) -> Array:
 
 def _summed(moment: Array, model: PieceModel, inverse: Array) -> Array:
     """Return gains of rates (K - 1, 3) of a moment (K, 3) [N m]."""
-    return np.asarray(0.5 * model.dt * (moment[1:] + moment[:-1]) @ inverse.T, np.float64)
+    return np.asarray(model.dt * model.over(moment) @ inverse.T, np.float64)
+
+
+def _turning(model: PieceModel, momentum: Array, values: Mapping[str, float]) -> Array:
+    """Return the accelerations (K, 3) by the turning of the body and of its rotors' momentum (K,).
+
+    The body's moments are as the fit writes them: roll's and pitch's over their factors, yaw's with both.
+    """
+    rate, moments = model.rate, np.diag(model.aircraft.mass_properties.inertia)
+    safe = np.clip(np.abs(factors_of(values)[:2]), 0.05, 20.0)
+    x, y = moments[:2] / safe
+    more = (x + y) / (moments[0] + moments[1])
+    z = moments[2] * more
+    spin = momentum * values["kick"] * more
+    return np.column_stack(
+        [
+            ((y - z) * rate[:, 2] - spin) * rate[:, 1] / x,
+            ((z - x) * rate[:, 2] + spin) * rate[:, 0] / y,
+            (x - y) / z * rate[:, 0] * rate[:, 1],
+        ]
+    )
 
 
 def gains(model: PieceModel, load: Loads, values: Mapping[str, float]) -> Array:
     """Return the gains of rates (K - 1, 3) that the model says."""
     inverse = np.linalg.inv(model.aircraft.mass_properties.inertia)
     factors, strong = factors_of(values), strengths(values, load.each.shape[1])
-    safe = np.clip(np.abs(factors), 0.05, 20.0)
     moment = np.einsum("kmj,m->kj", load.each, 1.0 + strong) + values["inflow"] * load.inflow
     moment[:, 0] -= values["centre.y"] * load.lift
     moment[:, 1] += values["centre.x"] * load.lift
     others = values["drag"] * load.drag + values["air.x"] * load.air[0] + values["air.y"] * load.air[1]
     momentum = load.momentum @ (1.0 + 0.5 * strong)
-    rate = model.rate
-    body = model.aircraft.mass_properties.inertia / np.sqrt(np.outer(safe, safe))
-    turning = -np.cross(rate, rate @ body) @ np.linalg.inv(body).T
-    turning[:, 0] -= safe[0] * inverse[0, 0] * rate[:, 1] * momentum
-    turning[:, 1] += safe[1] * inverse[1, 1] * rate[:, 0] * momentum
-    acceleration = (moment @ inverse.T) * factors + others @ inverse.T + turning
-    said = 0.5 * model.dt * (acceleration[1:] + acceleration[:-1])
+    acceleration = (moment @ inverse.T) * factors + others @ inverse.T + _turning(model, momentum, values)
+    said = model.dt * model.over(acceleration)
     # A motor of more thrust turns faster by half of that: its momentum, too.
     said[:, 2] -= values["kick"] * np.diff(momentum) * inverse[2, 2]
     return np.asarray(said)
@@ -271,9 +371,16 @@ def columns(model: PieceModel, load: Loads, values: Mapping[str, float]) -> dict
         found[f"factor.{name}"] = one
     spun = -np.diff(load.momentum, axis=0) * inverse[2, 2]
     found["kick"] = along_z(spun @ (1.0 + 0.5 * strong))
+    momentum = load.momentum @ (1.0 + 0.5 * strong)
+    turning = _turning(model, momentum, values)
+    for name in ("factor.roll", "factor.pitch", "kick"):
+        other = _turning(model, momentum, {**values, name: values[name] + SLOPE})
+        found[name] += model.dt * model.over((other - turning) / SLOPE)
     for number in range(motors - 1):
         own = _summed(load.each[:, number] - load.each[:, -1], model, inverse) * factors
         own[:, 2] += 0.5 * values["kick"] * (spun[:, number] - spun[:, -1])
+        more = 0.5 * (load.momentum[:, number] - load.momentum[:, -1])
+        own += model.dt * model.over(_turning(model, momentum + more, values) - turning)
         found[f"motor.{number + 1}"] = own
     lift = np.zeros((len(load.lift), 3))
     lift[:, 1] = load.lift

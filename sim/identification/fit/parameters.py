@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import itemgetter
 
@@ -10,19 +10,25 @@ import numpy as np
 
 from neuroflight.sim.aircraft.model import Aircraft
 from neuroflight.sim.arrays import Array
-from neuroflight.sim.identification.fit.estimate import Data, Estimate, Wiring, say
+from neuroflight.sim.identification.fit.estimate import Data, Estimate, Wiring
 from neuroflight.sim.identification.fit.flight import Flight
 from neuroflight.sim.identification.fit.model import Layout, Theta, shaped
 from neuroflight.sim.identification.fit.result import Parameter
+from neuroflight.sim.identification.fit.shaking import shaking
+from neuroflight.sim.identification.fit.standing import standing
 from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
 from neuroflight.toolchain.contract import AXES
 
 NORMAL = 1.96
 SMALL = 1e-4
-# What the equations leave out, as a standard deviation: relative of authority and times, [s] of the delay.
-LEFT_OUT, LEFT_OUT_S = 0.015, 1.2e-4
-WIDE = 0.2  # half of a relative interval from which a log does not tell a parameter
-DELAY_WIDE_S, BEND_WIDE = 1.5e-3, 0.2
+# What the equations leave out, as a standard deviation: relative of authority and times, [s] of the delay,
+# [deg] of the chip's turns, which products of inertia resemble.
+LEFT_OUT, LEFT_OUT_S, LEFT_OUT_DEG = 0.015, 1.2e-4, 0.1
+# Half of a relative interval from which a log does not tell a parameter; a typical aircraft of the same
+# weight, arm and propellers is off by 0.3 to 0.4 (six published builds: one standard deviation).
+WIDE, WIDE_TIME, WIDE_KICK = 0.2, 0.34, 0.4
+DELAY_WIDE_S, BEND_WIDE, SAG_WIDE = 1.5e-3, 0.2, 0.5
+TURN_WIDE = 0.65  # [deg]: chips and boards are mounted straight to about a degree (from memory)
 ROLLS = "three rolls each way, or quick stick taps of all axes in a hover"
 PUNCH = "a punch-out: full throttle for a second, then none, three times"
 YAW = "quick yaw taps to both sides in a hover"
@@ -38,9 +44,7 @@ def parameters(
 ) -> dict[str, Parameter]:
     """Report every parameter of a fit, in the order that people read them."""
     motors = np.concatenate([one.model.piece.motors[one.used] for one in data])
-    volts = [one.model.piece.voltage[one.used] for one in data if one.model.piece.voltage is not None]
-    voltage = float(np.mean(np.concatenate(volts))) if volts else None
-    usual = np.median(motors, axis=0)
+    usual, voltage = flown_at(data)
     whence = f"{len(motors) * data[0].model.piece.step_s:.0f} s of motors and gyro"
     spoken = "eRPM" if any(flight.has_speed for flight in flights) else whence
     rows: list[Parameter] = []
@@ -75,7 +79,9 @@ def parameters(
         if relative and value > 0.0:
             sigma = float(np.hypot(spread(lambda theta: float(np.log(max(of(theta), 1e-12)))), LEFT_OUT))
             low, high = value * np.exp(-NORMAL * sigma), value * np.exp(NORMAL * sigma)
-            told = NORMAL * sigma < wide
+            half = NORMAL * sigma
+            # A start's number that is further off than either can be is none to stay with.
+            told = half < wide or (first > 0.0 and abs(float(np.log(value / first))) > half + wide)
         else:
             sigma = float(np.hypot(spread(of), more))
             low, high = value - NORMAL * sigma, value + NORMAL * sigma
@@ -96,6 +102,7 @@ def parameters(
             whence,
             YAW if name == "yaw" else ROLLS,
             relative=True,
+            wide=WIDE,
         )
     for name in AXES:
         add(
@@ -106,7 +113,7 @@ def parameters(
             whence,
             YAW if name == "yaw" else ROLLS,
             relative=True,
-            wide=2 * WIDE,
+            wide=WIDE,
         )
     if "log_up" in laid.names:
         for side, word in (("up", "faster"), ("down", "slower")):
@@ -118,7 +125,7 @@ def parameters(
                 spoken,
                 ROLLS,
                 relative=True,
-                wide=1.25 * WIDE,
+                wide=WIDE_TIME,
             )
     else:
         for name, words, unit in (
@@ -134,7 +141,7 @@ def parameters(
                 spoken,
                 ROLLS if name == "gain" else PUNCH,
                 relative=True,
-                wide=1.5 * WIDE,
+                wide=WIDE_TIME,
             )
     steps = max(flight.control_s for flight in flights)
     add(
@@ -157,6 +164,16 @@ def parameters(
         wide=BEND_WIDE,
         more=0.01,
     )
+    if "sag" in laid.names:
+        add(
+            "sag",
+            "sag of the battery under load, of the start's",
+            "",
+            itemgetter("sag"),
+            whence,
+            f"log the voltage (vbat), and {PUNCH}",
+            wide=SAG_WIDE,
+        )
     if "log_top" in laid.names:
         add(
             "speed_max",
@@ -175,7 +192,7 @@ def parameters(
         whence,
         YAW,
         relative=True,
-        wide=2 * WIDE,
+        wide=WIDE_KICK,
     )
     add(
         "inflow",
@@ -213,8 +230,22 @@ def parameters(
             wide=0.1,
             more=0.01,
         )
-    rows += _steady(data, laid, found, wiring)
-    rows += _facts(flights, data, start, found, motors)
+    for name in AXES:
+        add(
+            f"gyro.turn.{name}",
+            f"turn of the gyro's chip about {name}",
+            "deg",
+            partial(_degrees, f"turn.{name}"),
+            whence,
+            ROLLS,
+            more=LEFT_OUT_DEG,
+            wide=TURN_WIDE,
+        )
+    rows += standing(data, laid, found, wiring)
+    raw = all(abs(abs(flight.path.response(np.array([200.0]))[0]) - 1.0) < 0.05 for flight in flights)
+    shaken = np.rad2deg([start.gyro.noise, start.gyro.vibration])
+    rows += shaking(data, laid.values(found.theta), flights[0].rate_hz, shaken, raw)
+    rows += _facts(flights, motors)
     return {one.key: one for one in rows}
 
 
@@ -222,11 +253,17 @@ def _exponential(name: str, theta: Theta) -> float:
     return float(np.exp(theta[name]))
 
 
+def _degrees(name: str, theta: Theta) -> float:
+    return float(np.rad2deg(theta[name]))
+
+
 def _time(side: str, theta: Theta) -> float:
     return float(np.exp(theta["log_up"] + (theta["log_ratio"] if side == "down" else 0.0)))
 
 
-def authority(start: Aircraft, theta: Theta, wiring: Wiring, motors: Array, voltage: float | None) -> Array:
+def authority(
+    start: Aircraft, theta: Mapping[str, float], wiring: Wiring, motors: Array, voltage: float | None
+) -> Array:
     """Return the angular acceleration (3,) [rad/s^2] a unit of motor differences at motor values (M,).
 
     All motors that turn an axis one way get more by the unit, the others less, at the speed they settle at.
@@ -253,61 +290,27 @@ def authority(start: Aircraft, theta: Theta, wiring: Wiring, motors: Array, volt
     return np.asarray(made * inverse * np.array([abs(theta[f"factor.{axis}"]) for axis in AXES]))
 
 
-def _steady(data: Sequence[Data], laid: Layout, found: Estimate, wiring: Wiring) -> list[Parameter]:
-    """Report what turns the aircraft besides: the mean that the motors have to hold against."""
-    values = laid.values(found.theta)
-    blocks: list[Array] = []
-    for one in data:
-        said, _, _ = say(one.model, values, wiring)
-        finer = one.model.finer
-        rows = said[: len(said) // finer * finer].reshape(-1, finer, 3).sum(axis=1) / one.model.piece.step_s
-        change = np.diff(one.model.piece.gyro, axis=0)[: len(rows)] / one.model.piece.step_s
-        against = (change - rows)[one.used[1 : len(rows) + 1]]
-        size = max(1, round(1.0 / one.model.piece.step_s))
-        blocks += [part.mean(axis=0) for part in np.array_split(against, max(1, len(against) // size))]
-    each = np.array(blocks)
-    sigma = each.std(axis=0) / np.sqrt(max(1, len(each) / 2))
-    return [
-        Parameter(
-            f"steady.{name}",
-            f"steady {name} that motors hold against",
-            "rad/s²",
-            0.0,
-            float(mean),
-            float(mean - NORMAL * s),
-            float(mean + NORMAL * s),
-            True,
-            f"mean over {len(each)} s",
-        )
-        for name, mean, s in zip(AXES, each.mean(axis=0), sigma, strict=True)
-    ]
+def faster_by(start: Aircraft, theta: Mapping[str, float], motors: Array, voltage: float | None) -> float:
+    """Return by how much [rad/s] all rotors turn faster a unit of motor values, at motor values (M,)."""
+    propulsion = shaped(start.propulsion, theta)
+    volts = voltage if propulsion.supply_voltage is not None else None
+    step = 1e-4
+    less, more = (
+        target_speed(np.clip(motors + side * step, 0.0, 1.0), propulsion, volts) for side in (-1, 1)
+    )
+    return float((more - less).sum() / (2 * step))
 
 
-def _facts(
-    flights: Sequence[Flight], data: Sequence[Data], start: Aircraft, found: Estimate, motors: Array
-) -> list[Parameter]:
-    """Report gyro noise, idle and saturation."""
+def flown_at(data: Sequence[Data]) -> tuple[Array, float | None]:
+    """Return the usual motor values (M,) of flights and their mean voltage; None: it was not logged."""
+    motors = np.concatenate([one.model.piece.motors[one.used] for one in data])
+    volts = [one.model.piece.voltage[one.used] for one in data if one.model.piece.voltage is not None]
+    return np.median(motors, axis=0), float(np.mean(np.concatenate(volts))) if volts else None
+
+
+def _facts(flights: Sequence[Flight], motors: Array) -> list[Parameter]:
+    """Report idle and saturation."""
     rows = []
-    raw = all(abs(abs(flight.path.response(np.array([200.0]))[0]) - 1.0) < 0.05 for flight in flights)
-    nyquist = found.frequency[-1]
-    high = (found.frequency > 0.3 * nyquist) & (found.frequency < 0.95 * nyquist)
-    merged = max(1, round(data[0].model.piece.step_s * flights[0].rate_hz))
-    for axis, name in enumerate(AXES):
-        floor = float(np.rad2deg(np.sqrt(np.quantile(found.noise[high, axis], 0.3) * merged)))
-        rows.append(
-            Parameter(
-                f"gyro.noise.{name}",
-                f"white noise of the gyro, {name}",
-                "deg/s",
-                float(np.rad2deg(start.gyro.noise[axis])),
-                floor,
-                0.85 * floor,
-                1.15 * floor,
-                raw,
-                f"residual of {0.3 * nyquist:.0f} to {0.95 * nyquist:.0f} Hz",
-                "log the unfiltered gyro (gyroUnfilt)",
-            )
-        )
     idle = next((flight.idle for flight in flights if flight.idle is not None), None)
     least = float(np.quantile(motors, 0.001)) if idle is None else idle
     rows.append(

@@ -15,13 +15,13 @@ from neuroflight.sim.identification.fit.estimate import prepare
 from neuroflight.sim.identification.fit.flight import Flight
 from neuroflight.sim.identification.fit.held import SLOW_S, held_back, predict, quick, straight
 from neuroflight.sim.identification.fit.model import shaped
-from neuroflight.sim.identification.fit.result import Fit, Parameter
+from neuroflight.sim.identification.fit.result import Fit, Parameter, share_words
 from neuroflight.sim.physics.rotor import speeds_along, target_speed
 from neuroflight.sim.plotting import AXIS_COLOURS, MUTED, dress, legend_above, log_numbers, png, titled_figure
 from neuroflight.toolchain.contract import AXES
 
 SHOWN_S = 4.0  # of the held-back stretch that turns most
-WELL = 0.5  # share of the variance from which an axis is explained well
+WELL = 0.8  # share of what the sticks did, from which an axis is predicted well
 STEP_S = 0.0005
 STYLE = "body{font:15px/1.5 sans-serif;max-width:70em;margin:2em auto;padding:0 1em;color:#22272e}"
 STYLE += "img{max-width:100%}table{border-collapse:collapse}td,th{padding:.2em .8em;text-align:left}"
@@ -62,8 +62,8 @@ def verdict(fit: Fit) -> tuple[str, list[str]]:
     missing = [one for one in needed if not one.told]
     poor = [axis for axis, share in zip(AXES, fit.explained, strict=True) if not share >= WELL]
     reasons = [
-        f"{axis}: {100 * share:.0f} % of the held-back rates told, {100 * before:.0f} % by the start file"
-        for axis, share, before in zip(AXES, fit.explained, fit.explained_start, strict=True)
+        f"of what the sticks did, the fit predicts: {share_words(fit.explained)}; the start file: "
+        f"{share_words(fit.explained_start)} (both on data held back)"
     ]
     reasons += [f"{one.words}: known only as {one.text}" for one in missing]
     if not missing and not poor:
@@ -113,7 +113,6 @@ def _rates(flights: Sequence[Flight], start: Aircraft, fit: Fit) -> Figure:
         return figure
     panels = figure.subplots(3, 1, sharex=True)
     for axis, panel in enumerate(panels):
-        share = f"{AXES[axis]}, {100 * fit.explained[axis]:.0f} % explained"
         for course, name, colour in zip(
             best[2], ("measured", "fit", "start file"), ("#22272e", AXIS_COLOURS[0], "#e69f00"), strict=True
         ):
@@ -127,7 +126,7 @@ def _rates(flights: Sequence[Flight], start: Aircraft, fit: Fit) -> Figure:
             )
         reach = 2.0 * float(np.abs(np.rad2deg(best[2][0][:, axis])).max()) + 1.0
         panel.set_ylim(-reach, reach)
-        dress(panel, share, "s" if axis == 2 else "", "deg/s")
+        dress(panel, AXES[axis], "s" if axis == 2 else "", "deg/s")
     legend_above(panels[0])
     return figure
 

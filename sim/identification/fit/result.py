@@ -11,6 +11,7 @@ import numpy as np
 from neuroflight.sim.arrays import Array
 from neuroflight.sim.identification.fit.estimate import Estimate, Wiring
 from neuroflight.sim.identification.fit.model import Layout
+from neuroflight.toolchain.contract import AXES
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Fit:
 
     name: str  # of the logs
     parameters: Mapping[str, Parameter]
-    explained: Array  # (3,) share of the variance of the rates' changes on data that was held back
+    explained: Array  # (3,) share of what the sticks did that is predicted, on data held back; NaN: little
     explained_start: Array  # (3,) by the start file
     order: tuple[int, ...]  # rotor of the start file that each logged motor drives
     spins: tuple[float, ...]  # of these, +1 counter-clockwise
@@ -51,6 +52,8 @@ class Fit:
     estimate: Estimate
     wiring: Wiring
     theta: Mapping[str, float]
+    usual: Array  # (M,) motor values that authority is told at
+    volts: float | None  # mean of the flights
     thrust: float | None = None  # K_T over the start's, by the accelerometer and the weight; None: not told
 
     @property
@@ -80,9 +83,22 @@ class Fit:
                 }
                 for key, one in self.parameters.items()
             },
-            "explained": np.round(self.explained, 4).tolist(),
-            "explained_start": np.round(self.explained_start, 4).tolist(),
+            "explained": _shares(self.explained),
+            "explained_start": _shares(self.explained_start),
             "motor_order": [rotor + 1 for rotor in self.order],
             "props_out": self.props_out,
             "notes": list(self.notes),
         }
+
+
+def _shares(shares: Array) -> list[float | None]:
+    return [None if np.isnan(share) else round(float(share), 4) for share in shares]
+
+
+def share_words(shares: Array) -> str:
+    """Say how much of what the sticks did is predicted, by axis, as a pilot reads it."""
+    words = [
+        f"{axis} too little to tell" if np.isnan(share) else f"{axis} {100 * max(0.0, float(share)):.0f} %"
+        for axis, share in zip(AXES, shares, strict=True)
+    ]
+    return ", ".join(words)

@@ -473,6 +473,8 @@ nominal_voltage_v = 15
 roll = [-1, -1, 1, 1]
 pitch = [1, -1, 1, -1]
 yaw = [1, -1, -1, 1]
+[logged]
+motor_thrust = [1, 1, 1, 1]
 [known]
 "propulsion.delay_s" = { how = "typical", from = "a page", range = [1, 2] }
 """

@@ -37,13 +37,13 @@ class Move:
 class PilotedPort:
     """A firmware whose sticks are the pilot's while its arm switch is on."""
 
-    def __init__(self, port: FirmwarePort, moves: Sequence[Move], hover: float, *, pid: bool = False) -> None:
-        """hover: throttle at which it hovers, as he feels it; pid: his switch chooses the PID."""
+    def __init__(self, port: FirmwarePort, moves: Sequence[Move], hover: float) -> None:
+        """hover: throttle at which it hovers, as he feels it."""
         self._port = port
         self.motor_count = port.motor_count
         self.gyro_rate_hz, self.control_rate_hz = port.gyro_rate_hz, port.control_rate_hz
         self._ends = np.cumsum([move.duration_s for move in moves])
-        self._moves, self._hover, self._pid = tuple(moves), hover, pid
+        self._moves, self._hover = tuple(moves), hover
         self._every = round(FRAME_S * port.gyro_rate_hz)
         self._on = self._armed = False
         self._samples = self._since = 0  # samples so far, and since it was armed
@@ -98,9 +98,7 @@ class PilotedPort:
             wanted[:2] += np.clip(np.rad2deg(LEVEL_PER_S * off), -LEVEL_MAX_DEG_S, LEVEL_MAX_DEG_S)
         self._hands += (wanted - self._hands) * (1.0 - np.exp(-FRAME_S / HAND_S))
         rates = np.clip(self._hands[:3], -990.0, 990.0)
-        made = sticks.channels(
-            tuple(rates), float(np.clip(self._hands[3], 0.0, 1.0)), armed=True, pid=self._pid
-        )
+        made = sticks.channels(tuple(rates), float(np.clip(self._hands[3], 0.0, 1.0)), armed=True)
         return tuple(int(width) for width in made)
 
     def _thrust(self, sample: Sample) -> float:

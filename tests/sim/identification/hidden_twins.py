@@ -1,65 +1,24 @@
-"""Logs of aircraft whose numbers nobody is told: what `neuroflight aircraft fit` is judged by.
-
-    python -m tests.sim.identification.hidden_twins OUT [--seed N] [--only NAME] [--style taps]
+"""Aircraft whose numbers nobody is told: what `neuroflight aircraft fit` is judged by.
 
 Each of CLASSES, whoop to 10 inch, is drawn anew about what its class has: inertia about each axis, thrust,
 the rotors' response, delay, curve, torque, rotor inertia, gyro noise and vibration, motors that differ,
-wind and gusts, a battery that sags. A pilot flies it freely (hidden_pilot.py) with Betaflight's SITL, whose
-own blackbox writes the log, with this firmware's PID into a trace, and with this firmware, whose log has
-the rotors' speeds. Beside each log OUT holds the true file and NAME.json: what the pilot knows of his
-aircraft, and what is true. Nothing here uses what it judges.
+wind and gusts, a battery that sags. hidden_flights.py flies them. Nothing here uses what it judges.
 """
 
 from __future__ import annotations
 
-import argparse
-import contextlib
-import json
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from neuroflight.cli.fly.blackbox import END
-from neuroflight.sim.aircraft.model import (
-    Aircraft,
-    FirstOrderResponse,
-    PidSettings,
-    load_aircraft,
-    parse_aircraft,
-)
+from neuroflight.sim.aircraft.model import Aircraft, FirstOrderResponse, parse_aircraft
 from neuroflight.sim.arrays import Array
-from neuroflight.sim.control.pid import Pid
-from neuroflight.sim.control.pid_table import pid_mixer, pid_table
-from neuroflight.sim.flight.loop import fly
-from neuroflight.sim.flight.scenario import Scenario, Segment
-from neuroflight.sim.flight.trace import Trace, save_trace
 from neuroflight.sim.physics.rotor import target_speed, thrust_and_torque
-from neuroflight.sim.physics.twin import Twin
-from neuroflight.sim.physics.world import Mount
-from neuroflight.sim.ports.betaflight.build import Betaflight, build_betaflight
-from neuroflight.sim.ports.betaflight.port import BetaflightPort, aircraft_settings
-from neuroflight.sim.ports.betaflight.process import STEP_NS
-from neuroflight.sim.ports.library import ReferencePort
-from neuroflight.sim.ports.port import FirmwarePort
-from neuroflight.sim.ports.python_controller import ControllerPort
-from neuroflight.toolchain.contract import GRAVITY, Mix
-from tests.conftest import ROOT, SHIPPED, build_kept
-from tests.sim.identification.hidden_pilot import STYLES, PilotedPort
+from neuroflight.toolchain.contract import GRAVITY
 
 INCH = 0.0254
-IDLE = 0.055  # of Betaflight's motors
-AFTER = 1000  # steps of Betaflight's time in which it ends its log
-ROWS = (  # of its log: 2000, 1000, 500, 250 a second
-    ("set blackbox_sample_rate = 1/4",),
-    ("set blackbox_sample_rate = 1/8",),
-    ("set blackbox_sample_rate = 1/16",),
-    ("set pid_process_denom = 2", "set blackbox_sample_rate = 1/16"),
-)
-BETAFLIGHT = ROOT / "build" / "tests" / "BETAFLIGHT"
 
 
 @dataclass(frozen=True)
@@ -111,16 +70,6 @@ class Hidden:
     def aircraft(self) -> Aircraft:
         """The true aircraft, its motors alike."""
         return parse_aircraft(self.text.encode(), f"hidden twin {self.name}")
-
-
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """A flight of a hidden aircraft."""
-
-    trace: Trace
-    volts: float  # its battery's mean under load
-    fell: tuple[float, float]  # from, to [V]
-    delay_s: float  # in whole samples of its gyro
 
 
 def draw(kind: Class, seed: int) -> Hidden:
@@ -307,169 +256,3 @@ def loop_parameters(
         "authority_rise": float(high[0] / turns[0]),  # by a motor value that is 0.3 higher
         "kick_yaw": kick(aircraft, at, volts, shares),
     }
-
-
-def scaled_pid(aircraft: Aircraft) -> PidSettings:
-    """Return the NF1's flying PID with its gains scaled by authority."""
-    nf1 = load_aircraft("nf1")
-    pid = dict(nf1.pids)["flying"]
-    ratio = authority(nf1, hover(nf1)) / authority(aircraft, hover(aircraft))
-    slow = min(1.0, response(nf1, 0.3)[0] / response(aircraft, 0.3)[0])
-    factors = (ratio * slow).tolist()
-    roll, pitch, yaw = (
-        (factor * p, factor * i, factor * d) for (p, i, d), factor in zip(pid.gains, factors, strict=True)
-    )
-    return replace(pid, gains=(roll, pitch, yaw), nominal_voltage=None, mix=Mix.CENTRED, mixer=None)
-
-
-def betaflight_log(
-    hidden: Hidden,
-    style: str,
-    length_s: float,
-    seed: int,
-    settings: Sequence[str] = (),
-    gyro_rate_hz: int = 2000,
-) -> tuple[bytes, Flight]:
-    """Fly it with Betaflight's SITL; returns the log that Betaflight wrote, and what was true."""
-    chosen = (*aircraft_settings(hidden.aircraft), "set blackbox_device = VIRTUAL", *settings)
-    port = BetaflightPort(sitl(), gyro_rate_hz, chosen)
-    with contextlib.closing(port):
-        flight = flown(hidden, port, style, length_s, seed)
-        for _ in range(AFTER):
-            port.process.run(STEP_NS)
-        (log,) = port.process._folder.glob("LOG*")
-        return log.read_bytes(), flight
-
-
-def pid_trace(hidden: Hidden, style: str, length_s: float, seed: int, gyro_rate_hz: int = 1000) -> Flight:
-    """Fly it with the firmware's PID, whose gains are the NF1's scaled by authority."""
-    pid = scaled_pid(hidden.aircraft)
-    controller = Pid(pid_mixer(hidden.aircraft, pid), pid, 1, 1000)
-    port = ControllerPort(
-        controller, 4, gyro_rate_hz, 1000, pid.idle, mix=pid.mix, gyro_filters=pid.gyro_filters
-    )
-    with contextlib.closing(port):
-        return flown(hidden, port, style, length_s, seed)
-
-
-def own_log(
-    hidden: Hidden, style: str, length_s: float, seed: int, rotors: bool = True, every: int = 1
-) -> tuple[bytes, Flight]:
-    """Fly it with this firmware, the same PID built in; returns its log, with volts, and speeds (`rotors`).
-
-    every: control steps for a row, of 1000 a second.
-    """
-    aircraft = replace(hidden.aircraft, pids=(("scaled", scaled_pid(hidden.aircraft)),))
-    folder = build_kept("HOST", SHIPPED.read_bytes(), f"hidden-{hidden.name}", pid_table(aircraft))
-    settings = {"motor_telemetry": int(rotors), "blackbox_divider": every}
-    port = ReferencePort(folder / "libneuroflight.so", 4000, settings)
-    heard = bytearray()
-
-    def logged() -> bool:
-        heard.extend(port.reference.blackbox())
-        return heard.endswith(END)
-
-    with contextlib.closing(port):
-        flight = flown(hidden, port, style, length_s, seed, logged)
-        return bytes(heard), flight
-
-
-def sitl() -> Betaflight:
-    """Betaflight's SITL, fetched and built the first time."""
-    return build_betaflight(BETAFLIGHT, print)
-
-
-def flown(
-    hidden: Hidden,
-    port: FirmwarePort,
-    style: str,
-    length_s: float,
-    seed: int,
-    logged: Callable[[], bool] | None = None,
-) -> Flight:
-    """Fly the aircraft freely in its air, its motors and battery as drawn."""
-    aircraft = hidden.aircraft
-    moves = STYLES[style](np.random.default_rng((seed, 7)), length_s)
-    pid = isinstance(port, ReferencePort)
-    piloted = PilotedPort(port, moves, (hover(aircraft) - IDLE) / (1 - IDLE), pid=pid)
-    twin = Twin(
-        aircraft,
-        rate_hz=port.gyro_rate_hz,
-        mount=Mount.FREE,
-        charge=hidden.charge,
-        wind=hidden.wind,
-        gust=hidden.gust,
-        rng=np.random.default_rng((seed, 1)),
-    )
-    with contextlib.closing(twin):
-        twin.weaken(np.array(hidden.shares))
-        volts: list[float] = []
-        scenario = Scenario(style, (Segment(length_s),), Mount.FREE)
-        watch = lambda: volts.append(float(twin.pack_voltage[0]))  # noqa: E731
-        trace = fly(twin, piloted, scenario, watch=watch, logged=logged)
-        late = max(1, round(aircraft.propulsion.delay * twin.rate_hz)) / twin.rate_hz
-        return Flight(trace, float(np.mean(volts)), (volts[0], volts[-1]), late)
-
-
-def write(hidden: Hidden, out: Path, style: str, length_s: float, seed: int, by: Sequence[str]) -> None:
-    """Write the true file, what is told and what is true, and the logs of `by`."""
-    name = out / hidden.name
-    name.with_suffix(".true.toml").write_text(hidden.text)
-    rate = ROWS[CLASSES.index(next(kind for kind in CLASSES if kind.name == hidden.name)) % len(ROWS)]
-    for who in by:
-        if who == "betaflight":
-            log, flight = betaflight_log(hidden, style, length_s, seed, rate)
-            name.with_suffix(".bbl").write_bytes(log)
-        elif who == "own":
-            log, flight = own_log(hidden, style, length_s, seed)
-            name.with_suffix(".bfl").write_bytes(log)
-        else:
-            flight = pid_trace(hidden, style, length_s, seed)
-            save_trace(name.with_suffix(".npz"), flight.trace)
-        name.with_suffix(f".{who}.json").write_text(
-            json.dumps(told_and_true(hidden, flight, style, seed), indent=1)
-        )
-        _say(hidden, who, flight)
-
-
-def told_and_true(hidden: Hidden, flight: Flight, style: str, seed: int) -> dict[str, Any]:
-    """Return what the pilot knows of his aircraft, and what was true in the flight."""
-    at = float(np.median(flight.trace.motors))
-    document: dict[str, Any] = {key: value for key, value in asdict(hidden).items() if key != "text"}
-    true = loop_parameters(hidden.aircraft, at, flight.volts, hidden.shares)
-    true["delay_s"] = flight.delay_s
-    return document | {"at": at, "volts": flight.volts, "true": true, "style": style, "seed": seed}
-
-
-def _say(hidden: Hidden, by: str, flight: Flight) -> None:
-    trace = flight.trace
-    error = np.rad2deg(np.abs(trace.rate - trace.setpoint).mean(axis=0))
-    print(
-        f"{hidden.name:11} {by:10} {trace.t[-1]:6.1f} s, {flight.fell[0]:.1f} to {flight.fell[1]:.1f} V, "
-        f"motors {np.median(trace.motors):.3f}, rms {np.rad2deg(trace.rate.std(axis=0)).round(0)} deg/s, MAE "
-        f"{error.round(1)}, wildest {np.abs(np.diff(trace.motors, axis=0)).mean():.4f}",
-        flush=True,
-    )
-
-
-def main() -> None:
-    """Write the logs that are asked for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="names of classes, separated by commas")
-    parser.add_argument("--style", choices=STYLES, default="freestyle")
-    parser.add_argument("--seconds", type=float, default=70.0)
-    parser.add_argument("--by", default="betaflight,pid")
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    for kind in CLASSES:
-        if not args.only or kind.name in args.only.split(","):
-            hidden = draw(kind, args.seed)
-            write(hidden, args.out, args.style, args.seconds, args.seed, args.by.split(","))
-
-
-if __name__ == "__main__":
-    main()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from neuroflight.sim.aircraft.known import How, Known
-from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse, load_aircraft
+from neuroflight.sim.aircraft.model import Aircraft, TorqueResponse, load_aircraft, parse_aircraft
 from neuroflight.sim.control.pid import aircraft_pid
 from neuroflight.sim.control.pid_table import pid_settings
 from neuroflight.sim.flight.loop import fly
@@ -23,6 +23,7 @@ from neuroflight.sim.identification.fit.fit import fit
 from neuroflight.sim.identification.fit.flight import Flight, Piece, read_flight
 from neuroflight.sim.identification.fit.gyro_path import mean_path
 from neuroflight.sim.identification.fit.result import Fit
+from neuroflight.sim.identification.fit.write import fitted_text, start_text
 from neuroflight.sim.identification.sag import find_sag
 from neuroflight.sim.physics.twin import Twin
 from neuroflight.sim.ports.python_controller import ControllerPort
@@ -211,3 +212,23 @@ def test_another_battery_is_told_by_its_resistance_and_none_without_volts(unchan
     assert cause.startswith("the battery's resistance is 4") and "an old, cold or smaller pack" in cause
     bare = replace(flight, pieces=tuple(replace(piece, voltage=None) for piece in flight.pieces))
     assert find_sag([bare], NF1) is None
+
+
+def test_a_motor_that_gave_less_when_the_file_was_fitted_is_no_change(unchanged: Fit) -> None:
+    shares = (1.03, 0.91, 1.03, 1.03)
+    parameters = dict(unchanged.parameters)
+    for number, share in enumerate(shares, 1):
+        one = parameters[f"motor.{number}"]
+        parameters[one.key] = replace(one, value=share, low=share - 0.01, high=share + 0.01, told=True)
+    fitted_again = replace(unchanged, parameters=parameters)
+    assert "motor 2 gives" in find_changes(fitted_again, NF1).causes[0]
+    logged = replace(NF1, motor_thrust=shares)
+    assert not find_changes(fitted_again, logged)
+    (cause,) = find_changes(unchanged, logged).causes
+    assert cause.startswith("motor 2 gives") and "more thrust than in the file" in cause
+
+
+def test_the_file_of_a_fit_holds_what_each_motor_gave(unchanged: Fit) -> None:
+    aircraft = parse_aircraft(fitted_text(start_text("nf1"), NF1, unchanged).encode(), "mine.toml")
+    found = [unchanged.parameters[f"motor.{number}"].value for number in range(1, 5)]
+    assert aircraft.motor_thrust == pytest.approx(found, abs=1e-5)
