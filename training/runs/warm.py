@@ -75,11 +75,10 @@ def warm_config(start: Start, aircraft: Aircraft, overrides: Sequence[str] = ())
     left of it. So the limit is what it makes on the new aircraft, if that is less. overrides: "key=value".
     Raises TrainingError for a run of another learner.
     """
-    config = load_config(start.folder / RECORD, [f"steps={STEPS}", *overrides])
-    if config.world.aircraft != FILE:
+    config = load_config(start.folder / RECORD, overrides)
+    general = config.world.aircraft != FILE
+    if general:
         config = _of_one_aircraft(config)
-        if not any(each.partition("=")[0].strip() == "steps" for each in overrides):
-            config = replace(config, steps=GENERAL_STEPS)
     algorithm = config.algorithm
     if not isinstance(algorithm, PathwiseConfig):
         raise TrainingError(
@@ -87,6 +86,8 @@ def warm_config(start: Start, aircraft: Aircraft, overrides: Sequence[str] = ())
             "goes on from another run"
         )
     given = {each.partition("=")[0].strip() for each in overrides}
+    if "steps" not in given:
+        config = replace(config, steps=GENERAL_STEPS if general else STEPS)
     if "algorithm.learning_rate" not in given:
         algorithm = replace(algorithm, learning_rate=LEARNING_RATE)
     if "algorithm.warm_up" not in given:

@@ -102,7 +102,6 @@ def parameters(
             whence,
             YAW if name == "yaw" else ROLLS,
             relative=True,
-            wide=WIDE,
         )
     for name in AXES:
         add(
@@ -113,7 +112,6 @@ def parameters(
             whence,
             YAW if name == "yaw" else ROLLS,
             relative=True,
-            wide=WIDE,
         )
     if "log_up" in laid.names:
         for side, word in (("up", "faster"), ("down", "slower")):
